@@ -6,9 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flighttest.diagnose.model import Located, Verdict
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
+from flighttest.diagnose.residuals.lack_of_fit import SIGNIFICANCE
+from flighttest.estimation.uncertainty.distributions import fisher_beyond
+from flighttest.estimation.uncertainty.drift import DISTURBANCE_DRIFT
 from flighttest.physics.body import DELAY_PARAM
 
 EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
@@ -97,10 +101,41 @@ def different_delays(table: Mapping[str, ParameterRow]) -> list[str]:
     ]
 
 
+def unlike_flights(pushes: Mapping[str, NDArray[np.float64]]) -> str:
+    """That flights differ as a whole, in a sentence; empty where they do not. pushes: flight to the constant vertical disturbances of its
+    windows, m/s^2 (n,).
+
+    One-way analysis of variance, against flights between which accelerometers drift. The disturbance of each window is part of the noise of
+    free flight, so that flights that differ leave no mismatch behind.
+    """
+    each = {flight: values for flight, values in pushes.items() if values.size}
+    flights, windows = len(each), sum(values.size for values in each.values())
+    if flights < 2 or windows <= flights:
+        return ""
+    middle = {flight: float(values.mean()) for flight, values in each.items()}
+    mean = sum(v.size * middle[f] for f, v in each.items()) / windows
+    between = sum(v.size * (middle[f] - mean) ** 2 for f, v in each.items()) / (flights - 1)
+    within = sum(float(np.sum((v - middle[f]) ** 2)) for f, v in each.items()) / (windows - flights)
+    usual = within + windows / flights * DISTURBANCE_DRIFT["a_d_z_m_s2"] ** 2
+    if fisher_beyond(between / usual, flights - 1, windows - flights) >= SIGNIFICANCE:
+        return ""
+    least, most = min(middle, key=lambda f: middle[f]), max(middle, key=lambda f: middle[f])
+    return (
+        f" This holds within flights, and these differ: the vertical acceleration of each is off as a whole, from {middle[least]:+.2g} m/s^2 "
+        f"({least}) to {middle[most]:+.2g} ({most}), and that of its windows by {np.sqrt(within):.2g} beside it. Another vehicle, load, "
+        "propeller or battery looks like this, and these recordings do not tell which: diagnose flights that have them in common apart "
+        "from the others."
+    )
+
+
 def unrecorded_battery(located: Sequence[Located], recorded: bool) -> list[str]:
-    """Where the error grows with the time since take-off and no voltage was recorded: a battery that runs down looks like that, and no
-    term can be compared with it."""
-    late = [place.channel for place in located if place.regime.get("variable") == BY_TIME]
+    """Where a vertical error falls with the time since take-off and no voltage was recorded: a battery that runs down looks like that, and
+    no term can be compared with it. An error that rises is none of a battery's."""
+    late = [
+        place.channel
+        for place in located
+        if place.regime.get("variable") == BY_TIME and place.channel.endswith("_z") and place.peak < 0.0
+    ]
     if recorded or not late:
         return []
     return [

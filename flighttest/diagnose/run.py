@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flighttest.diagnose.block import SEED, Asked, BlockAnswer, answer, listed, merged
 from flighttest.diagnose.conclusion import (
@@ -17,6 +18,7 @@ from flighttest.diagnose.conclusion import (
     predicted_worse,
     pushed_once,
     sentence_of,
+    unlike_flights,
     unrecorded_battery,
     verdict_of,
 )
@@ -177,7 +179,8 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
         verdict=so_far if complete else Verdict.PARTLY,  # what was not searched for is neither missing nor explained
         sentence=sentence_of(so_far, findings, share, located, complete)
         + predicted_worse(merged(a.heldout for a in answers))
-        + moved_parameters(asked.previous, after),
+        + moved_parameters(asked.previous, after)
+        + unlike_flights(_pushes(final_fit)),
         located=tuple(located),
         findings=tuple(findings),
         not_needed=tuple(sorted(tried - named)),
@@ -214,6 +217,16 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
     )
+
+
+def _pushes(found: Fit) -> dict[str, NDArray[np.float64]]:
+    """Flight to the constant vertical disturbances of its windows of free flight, m/s^2."""
+    runs: dict[str, list[float]] = {}
+    every = found.start.nuisance.get("a_d_z_m_s2", np.empty(0))
+    for segment, push in zip(found.problem.segments, every, strict=False):
+        if segment.kind == "free" and np.isfinite(push):
+            runs.setdefault(segment.run, []).append(float(push))
+    return {run: np.array(values) for run, values in runs.items()}
 
 
 def _not_testable(

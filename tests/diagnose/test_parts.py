@@ -108,6 +108,45 @@ def test_what_is_the_same_everywhere_is_explained_by_no_variable(rng):
     assert p > 0.01
 
 
+@pytest.mark.parametrize(("flights", "voltage_shows"), [(1, True), (2, False), (12, True)])
+def test_two_flights_at_two_voltages_do_not_show_which_of_their_differences_it_was(rng, flights, voltage_shows):
+    """Six flights of two vehicles, one of them with fuller batteries: `battery voltage explains 57 % of the residual's variance`."""
+    response = np.repeat(np.arange(48), 20)
+    flight = response * flights // 48
+    voltage = 3.2 + 0.3 * (response >= 24) + 0.001 * response
+    residual = np.where(voltage > 3.4, 0.5, -0.5) + rng.normal(0, 0.1, 960)
+    share, p = explained_by(residual, voltage, response, 0, flight)
+    assert (share > 0.25 and p <= 1 / 200) is voltage_shows
+    assert locate.ordered_by_a_variable("a_z_m_s2", residual, {"U": voltage}, response, 0.1, 0, flight) is voltage_shows
+
+
+def test_what_a_variable_orders_within_flights_is_seen_beside_their_differences(rng):
+    response = np.repeat(np.arange(24), 50)
+    flight = response // 12
+    height = np.tile(np.linspace(5, 0, 50), 24)
+    residual = np.where(height < 1, 2.0, 0.0) + np.where(flight, 0.5, -0.5) + rng.normal(0, 0.3, 1200)
+    assert explained_by(residual, height, response, 0, flight)[1] <= 1 / 200
+
+
+@pytest.mark.parametrize(
+    ("levels", "within", "said"),
+    [
+        ((0.6, 0.6, -0.5, -0.5), 0.05, True),
+        ((0.6, 0.6, -0.5, -0.5), 2.0, False),  # by chance
+        ((0.07, 0.07, -0.06, -0.06), 0.005, False),  # accelerometers drift by as much
+        ((0.6,), 0.05, False),
+    ],
+)
+def test_flights_that_differ_as_a_whole_are_said_to(rng, levels, within, said):
+    """Flights of two small vehicles differed in thrust by 5 %, which the disturbance of each window took up without a word."""
+    shape = rng.permutation(np.linspace(-1.5, 1.5, 6))
+    sentence = conclusion.unlike_flights({f"flight{k}": level + within * shape for k, level in enumerate(levels)})
+    assert bool(sentence) is said
+    if said:
+        assert "-0.5 m/s^2 (flight2) to +0.6 (flight0)" in sentence
+    assert conclusion.unlike_flights({}) == ""
+
+
 def test_a_heading_is_the_same_after_a_turn_all_around(rng):
     t, level = np.arange(50) / 50, np.zeros(50)
     yaws = [2 * np.pi * k + np.linspace(-3, 3, 50) for k in range(12)]
@@ -266,12 +305,19 @@ def test_thrust_that_does_not_follow_the_voltage_is_the_autopilots_doing(alpha, 
 
 
 @pytest.mark.parametrize(
-    ("variable", "recorded", "noted"),
-    [("time_since_takeoff_s", False, True), ("time_since_takeoff_s", True, False), ("throttle", False, False)],
+    ("variable", "recorded", "channel", "peak", "noted"),
+    [
+        ("time_since_takeoff_s", False, "v_z", -1.4, True),
+        ("time_since_takeoff_s", False, "v_z", 1.4, False),  # thrust that rises is not of a battery that runs down
+        ("time_since_takeoff_s", False, "v_x", -1.4, False),
+        ("time_since_takeoff_s", True, "v_z", -1.4, False),
+        ("throttle", False, "v_z", -1.4, False),
+    ],
 )
-def test_a_battery_that_was_not_recorded_is_named_where_the_error_depends_on_time(variable, recorded, noted):
-    """Hops of a small vehicle without a battery reading ended in an error that depends on the time since take-off, and nothing more."""
-    place = Located("v_z", "hop", "free", {"variable": variable, "above": 6.8}, 0.2, 0.1, "", 1.4, 0.03, "m/s")
+def test_a_battery_that_was_not_recorded_is_named_where_thrust_falls_with_time(
+    variable, recorded, channel, peak, noted
+):
+    place = Located(channel, "hop", "free", {"variable": variable, "above": 6.8}, 0.2, 0.1, "", 1.4, 0.03, "m/s", peak)
     notes = conclusion.unrecorded_battery([place], recorded)
     assert bool(notes) is noted
     assert all("v_z" in n and "record its voltage" in n for n in notes)

@@ -131,28 +131,35 @@ def residual_map(
 
 
 def explained_by(
-    residual: FloatArray, variable: FloatArray, response: NDArray[np.intp], seed: int
+    residual: FloatArray, variable: FloatArray, response: IntArray, seed: int, flight: IntArray | None = None
 ) -> tuple[float, float]:
-    """(share of the variance between bins of a variable, less what chance makes of it; probability of as much by chance: signs of whole
-    responses flipped). What is the same in every bin is explained by nothing."""
+    """(share of the variance between bins of a variable, less what chance makes of it; probability of as much by chance: signs flipped, of
+    each flight's mean and of what whole responses differ from it by). What is the same in every bin is explained by nothing.
+
+    flight (n,): which one a sample is of, None where all are of one. Flights differ in vehicle, pack, load and weather at once, so that two
+    of them, and any number of responses of theirs, do not show which of these it was.
+    """
     good = np.isfinite(variable)
     if good.sum() < 10 * BINS or np.ptp(variable[good]) <= 0:
         return 0.0, 1.0
     r, x, group = residual[good] - np.mean(residual[good]), variable[good], response[good]
+    _, of = np.unique(np.zeros(r.size) if flight is None else flight[good], return_inverse=True)
+    mean = (np.bincount(of, r) / np.bincount(of))[of]
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1]))
     which = np.searchsorted(edges, x, side="right")
     n_bins = edges.size + 1
     _, member = np.unique(group, return_inverse=True)
-    n_groups = int(member.max()) + 1
-    sums = np.zeros((n_groups, n_bins))
-    np.add.at(sums, (member, which), r)
+    n_groups, n_flights = int(member.max()) + 1, int(of.max()) + 1
+    sums = np.zeros((n_groups + n_flights, n_bins))
+    np.add.at(sums, (member, which), r - mean)
+    np.add.at(sums, (n_groups + of, which), mean)
     count = np.bincount(which, minlength=n_bins).astype(float)
     total = float(r @ r)
     if total <= 0:
         return 0.0, 1.0
     weight = 1.0 / np.maximum(count, 1.0)
     value = float(np.sum(sums.sum(axis=0) ** 2 * weight)) / total
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(FLIPS, n_groups))
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(FLIPS, n_groups + n_flights))
     null = np.sum((signs @ sums) ** 2 * weight, axis=1) / total
     return value - float(np.mean(null)), float((1 + np.sum(null >= value)) / (FLIPS + 1))
 
@@ -180,6 +187,7 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
     tau = correlation_times(rows, rows.unprofiled_residual, segments)
     variables = sampled(rows, segments)
     kinds = np.array([s.kind for s in segments])[rows.segment]
+    flight = np.unique([s.run for s in segments], return_inverse=True)[1][rows.segment]
     maneuvers = {
         kind: Counter(s.maneuver or s.kind for s in segments if s.kind == kind) for kind in {s.kind for s in segments}
     }
@@ -196,13 +204,13 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
             here = {v: x[at] for v, x in variables.items()}
             mean_square = _beside_disturbance(rows, at, least) if kind == "free" else float(np.mean(r**2))
             if floor.exceeded(name, str(kind), mean_square, at.size / tau[c], lasts_s) or ordered_by_a_variable(
-                name, r, here, rows.segment[at], least, seed
+                name, r, here, rows.segment[at], least, seed, flight[at]
             ):
                 places.append((excess, name, str(kind), at, least))
     found = []
     for _, name, kind, at, least in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
         r = rows.unprofiled_residual[at]
-        scores = {v: explained_by(r, x[at], rows.segment[at], seed) for v, x in variables.items()}
+        scores = {v: explained_by(r, x[at], rows.segment[at], seed, flight[at]) for v, x in variables.items()}
         best = max(scores, key=lambda v: (scores[v][1] <= 0.05, scores[v][0])) if scores else ""
         orders = Orders(best, variables[best][at], *scores[best]) if best else Orders()
         flown_as = maneuvers[kind].most_common(1)[0][0]
@@ -214,11 +222,12 @@ def ordered_by_a_variable(
     channel: str,
     r: FloatArray,
     variables: Mapping[str, FloatArray],
-    response: NDArray[np.intp],
+    response: IntArray,
     floor: float,
     seed: int,
+    flight: IntArray | None = None,
 ) -> bool:
-    """Whether a variable orders the residual although repeats differ as much: they differed in that variable.
+    """Whether a variable orders the residual although repeats differ as much: they differed in that variable. flight: as of `explained_by`.
 
     A quarter of the variance or more, in no sign flip of the responses as much, and in RMS no less than half the floor (the channel's
     unit) nor than estimators wander by, since that is slow, and so are voltage and time.
@@ -227,7 +236,7 @@ def ordered_by_a_variable(
         return False
     least = max(0.5 * floor, DRIFT.get(channel, 0.0))
     for x in variables.values():
-        share, p_value = explained_by(r, x, response, seed)
+        share, p_value = explained_by(r, x, response, seed, flight)
         if share >= ORDERED and p_value <= 1 / (FLIPS + 1) and share * float(np.var(r)) >= least**2:
             return True
     return False
