@@ -8,6 +8,8 @@ from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs import import_log
 from flighttest.logs.tables.columns import parse_columns
+from flighttest.logs.tables.crazyflie import beyond_limits
+from flighttest.logs.tables.sheet import Sheet
 from tests.logs.tables import N, mapped, save
 
 
@@ -274,6 +276,30 @@ def test_crazyflie_logs_are_known_without_a_map(shared_data):
     assert (
         3.3 < np.median(import_log(folder / "motor_data" / "normal_flight" / "E8_log00").channel("voltage_v")[1]) < 3.8
     )
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.005, False), (0.02, True)])
+def test_a_motor_that_is_asked_for_more_than_it_has_is_said(share, said):
+    roll = np.where(np.arange(1000) < 1000 * share, 30000.0, 0.0)
+    raw = {f"controller.cmd_{axis}": np.zeros(2000) for axis in ("thrust", "roll", "pitch", "yaw")}
+    raw["controller.cmd_thrust"][:1000] = 45000.0
+    raw["controller.cmd_roll"][:1000], raw["controller.cmd_pitch"][:1000] = roll, -roll
+    raw["controller.cmd_roll"][1000:] = 60000.0  # on the ground, with the motors off
+    found = beyond_limits(Sheet("a", raw, crazyflie=True))
+    assert bool(found) is said
+    if said:
+        assert found == [
+            "motor 3 was asked for up to 1.14 of its range, for more than it has in 2 % of the flight: the thrust is less there than "
+            "controller.cmd_thrust"
+        ]
+    del raw["controller.cmd_yaw"]
+    assert beyond_limits(Sheet("a", raw, crazyflie=True)) == []
+
+
+def test_a_weight_beside_a_motor_takes_it_to_its_limit(shared_data):
+    """The accelerometer does not follow the thrust command there: 0.68 m/s^2 RMS, and 0.12 with each motor limited."""
+    r = import_log(shared_data / "propeller_damage" / "controller_data" / "add_weight_W3_near_M3" / "E9_log02")
+    assert any(loss.startswith("motor 3 was asked for up to 1.") for loss in r.provenance.losses)
 
 
 def test_a_table_of_a_thrust_stand_is_refused_as_no_flight(shared_data, tmp_path):

@@ -6,7 +6,10 @@ is positive nose up; accelerations in g, stateEstimate's without gravity in the 
 
 from __future__ import annotations
 
+import numpy as np
+
 from flighttest.logs.tables.columns import ColumnMap, ColumnSource
+from flighttest.logs.tables.sheet import Sheet
 
 _DEG = 0.017453292519943295
 _G = 9.80665
@@ -41,6 +44,12 @@ _THROTTLE = (
     ColumnSource(("stabilizer.thrust",), _THRUST),
     ColumnSource(("motor.m1", "motor.m2", "motor.m3", "motor.m4"), _THRUST),
 )
+# Commands and what each adds to the motors 1 to 4 (power_distribution_quadrotor.c, powerDistributionLegacy).
+_MIXER = {
+    "controller.cmd_thrust": (1.0, 1.0, 1.0, 1.0), "controller.cmd_roll": (-0.5, -0.5, 0.5, 0.5),
+    "controller.cmd_pitch": (0.5, -0.5, -0.5, 0.5), "controller.cmd_yaw": (1.0, -1.0, 1.0, -1.0),
+}  # fmt: skip
+_OFTEN = 0.01  # of the samples with thrust: a motor that is at its limit less often leaves thrust as it was asked for
 
 
 def crazyflie_map(names: tuple[str, ...]) -> ColumnMap:
@@ -51,3 +60,21 @@ def crazyflie_map(names: tuple[str, ...]) -> ColumnMap:
     if throttle is not None:
         columns["throttle"] = throttle
     return ColumnMap(columns)
+
+
+def beyond_limits(sheet: Sheet) -> list[str]:
+    """A sentence for each motor that thrust and torques together ask for more than it has. What the motors give then is less than the
+    thrust command, by how much depends on the firmware: older ones limit each motor, newer ones take as much from all four."""
+    if not set(_MIXER) <= set(sheet.names):
+        return []
+    asked = sum(np.outer(sheet.column(name), parts) for name, parts in _MIXER.items()) * _THRUST
+    flying = sheet.column("controller.cmd_thrust") > 0.0
+    found = []
+    for k, motor in enumerate(np.asarray(asked)[flying].T, 1):
+        share = float(np.mean(motor > 1.0)) if motor.size else 0.0
+        if share > _OFTEN:
+            found.append(
+                f"motor {k} was asked for up to {motor.max():.2f} of its range, for more than it has in {100 * share:.0f} % of the flight: "
+                "the thrust is less there than controller.cmd_thrust"
+            )
+    return found

@@ -20,7 +20,7 @@ from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.tables.agreement import disagreements, gravity_warnings
 from flighttest.logs.tables.columns import STEP, ColumnMap, ColumnSource, load_columns, plain_map
-from flighttest.logs.tables.crazyflie import crazyflie_map
+from flighttest.logs.tables.crazyflie import beyond_limits, crazyflie_map
 from flighttest.logs.tables.reading import read_sheet
 from flighttest.logs.tables.ros_bag import MAGIC, read_bag
 from flighttest.logs.tables.sheet import TIME, Sheet
@@ -61,7 +61,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     if given is None and sheet.crazyflie:
         given = crazyflie_map(sheet.names)
     plan = given or plain_map(sheet.names)
-    losses = sheet.losses
+    losses = sheet.losses + (beyond_limits(sheet) if sheet.crazyflie else [])
     unread = _unread(sheet.names, plan) if given is None else {}
     guesses = [_not_read(name, guess) for name, guess in unread.items() if guess]
     if given is None:
