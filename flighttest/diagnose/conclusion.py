@@ -123,8 +123,8 @@ def unlike_flights(pushes: Mapping[str, NDArray[np.float64]]) -> str:
     return (
         f" This holds within flights, and these differ: the vertical acceleration of each is off as a whole, from {middle[least]:+.2g} "
         f"m/s^2 ({least}) to {middle[most]:+.2g} ({most}), and that of its windows by {np.sqrt(within):.2g} beside it. Another vehicle, "
-        "load, propeller or battery looks like this, and these recordings do not tell which: diagnose flights that have them in common "
-        "apart from the others."
+        "load, propeller or battery looks like this, and these recordings do not determine which: diagnose flights that have them in "
+        "common apart from the others."
     )
 
 

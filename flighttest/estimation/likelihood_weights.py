@@ -186,7 +186,7 @@ class LikelihoodWeights:
         lowest_std = np.maximum(LEAST_LEFT * np.sqrt(scale * square.sum(axis=0)), floor)
         before, begun = prior_std(part, self.noise), part.start_local()
         spread, lowest = before.copy(), np.array([_least_disturbance(n) for n in part.block.disturbances])
-        alike = self.problem.alike[index]
+        groups = self.problem.same_mean[index]
         for _ in range(NOISE_STEPS):
             prior = 1.0 / spread**2
             precision = np.einsum("mklp,k->mlp", gram, 1.0 / std**2) + np.einsum("ml,lk->mlk", prior, np.eye(n_l))
@@ -201,7 +201,7 @@ class LikelihoodWeights:
                     known = 1.0 - posterior[:, k, k] * prior[:, k]
                     values = local[:, k] + step[:, k]
                     found = np.sum(values**2) / max(float(known.sum()), 1e-3 * len(known))
-                    found = np.sqrt(min(found, variance_between_repeats(values, known, alike, found)))
+                    found = np.sqrt(min(found, variance_between_repeats(values, known, groups, found)))
                     low = max(lowest[k - n_l + n_d], 0.2 * before[0, k])
                     moved.append(np.array([np.clip(found, low, 5.0 * before[0, k]) / spread[0, k]]))
                     spread[:, k] *= moved[-1]

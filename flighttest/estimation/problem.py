@@ -192,7 +192,7 @@ class Problem:
         return cells_of(self.segments)
 
     @cached_property
-    def alike(self) -> NDArray[np.intp]:
+    def same_mean(self) -> NDArray[np.intp]:
         """(n_segments,) index of responses whose disturbances have the same mean: of the repeats of a cell, and of all free flight."""
         return np.where([s.kind == "free" for s in self.segments], -1, self.cells)
 
