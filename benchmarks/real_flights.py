@@ -49,6 +49,7 @@ class Recordings:
 # What a set's documentation supports, by words of its name, and the verdicts that fit it; the first that matches counts.
 SUPPORTS = (
     ("weight_on_string", "a load on a string; a change of mass or of a propeller shows against the undamaged model only", ANY),
+    ("controller_data, add_weight", "the thrust curve, and a motor at its limit by the log's own torque commands", CALM),
     ("propeller damage", "nothing but the thrust curve: a change shows against the undamaged model only", CALM),
     ("still air", "no wind", ANY),
     ("failure", "a mechanical failure in flight: located, or outside what a flight model holds", (*ANY, "UNKNOWN_PHYSICS")),
