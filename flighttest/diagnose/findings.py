@@ -9,12 +9,14 @@ import numpy as np
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.aliases import aliases_of
+from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import Evidence
 from flighttest.diagnose.selection.held_out import gains_held_out
 from flighttest.diagnose.selection.search import Search
 from flighttest.estimation.linearisation import FloatArray, IntArray
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.identify.fit import Fit
+from flighttest.physics.core import Term
 
 
 def parameter_table(found: Fit) -> dict[str, ParameterRow]:
@@ -64,7 +66,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
     numbers = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
     sentence = (
         f"{term.plain} ({numbers}); {brief(evidence.floors)} noise floors in {short(evidence.place[0])} of {flown(evidence.place[1])}; "
-        f"probability {_percent(evidence.probability)}"
+        f"probability {_percent(evidence.probability)}{undetermined_sizes(term, parameters)}"
     )
     if term.family in ("autopilot", "sensor", "link"):
         title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
@@ -97,6 +99,16 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
         source=term.source,
         doubt=term.doubt,
     )
+
+
+def undetermined_sizes(term: Term, parameters: Mapping[str, ParameterRow]) -> str:
+    """That the interval of every coefficient of a named term contains its absence, in words; empty where one does not. They are
+    exchanged with one another, or with the rest of the model: absence of all is excluded by the likelihood ratio."""
+    held = [(null_value(p), parameters[p.name]["interval_95"]) for p in term.amplitudes if p.name in parameters]
+    if not held or not all(low <= null <= high for null, (low, high) in held):
+        return ""
+    of = "its coefficient" if len(held) == 1 else "each coefficient"
+    return f"; its absence is excluded, although the interval of {of} contains it: sizes are determined together, not one by one"
 
 
 def held_out_gain(heldout: Mapping[str, HeldOutRow], evidence: Evidence) -> float:

@@ -32,6 +32,7 @@ from flighttest.estimation.equation_error import (
     whiten,
 )
 from flighttest.estimation.gauss_newton import MAX_ITERATIONS, Minimum, Space, minimise
+from flighttest.estimation.uncertainty.covariance import interval_factor
 from flighttest.identify.dead_time import thrust_gain
 from flighttest.identify.motion_equations import Equations, chunk, stretches
 from flighttest.physics.core import Param
@@ -83,6 +84,11 @@ class FreeFlight:
     spread: Mapping[str, float] = field(default_factory=dict)
     inflation: float = 1.0
     blocks: int = 0
+
+    @property
+    def factor_95(self) -> float:
+        """Half a 95 % interval in standard errors (Student's t of the blocks of the covariance)."""
+        return interval_factor(float(max(self.blocks - len(self.names), 1)))
 
     @property
     def std(self) -> dict[str, float]:

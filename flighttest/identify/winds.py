@@ -39,7 +39,8 @@ class WindVerdict(Enum):
 
 @dataclass(frozen=True)
 class FlightWind:
-    """Velocity of the air in one flight, m/s, world; std of each; chi2: of both against none."""
+    """Velocity of the air in one flight, m/s, world; std of each; chi2: of both against none; factor_95: half a 95 % interval in
+    standard errors."""
 
     flight: str
     north: float
@@ -48,6 +49,7 @@ class FlightWind:
     west_std: float
     chi2: float
     verdict: WindVerdict
+    factor_95: float
 
     @property
     def speed(self) -> float:
@@ -108,7 +110,9 @@ def winds_of(found: FreeFlight, declared: frozenset[str] = frozenset()) -> list[
         chi2 = float(w @ np.linalg.pinv(covariance) @ w) if np.isfinite(std).all() else 0.0
         calm = WindVerdict.STILL if flight in declared else WindVerdict.NONE_SEEN
         verdict = WindVerdict.WIND if chi2_beyond(chi2, 2) < CHANCE else calm
-        made.append(FlightWind(flight, float(w[0]), float(w[1]), float(std[0]), float(std[1]), chi2, verdict))
+        made.append(
+            FlightWind(flight, float(w[0]), float(w[1]), float(std[0]), float(std[1]), chi2, verdict, found.factor_95)
+        )
     return made
 
 
@@ -129,6 +133,7 @@ def wind_rows(flights: Sequence[FlightWind], declared: frozenset[str]) -> list[F
             w_west_std=w.west_std,
             speed_m_s=w.speed,
             speed_std=w.speed_std,
+            factor_95=w.factor_95,
             from_deg=w.from_deg,
             verdict=w.verdict.value,
             declared="still" if w.flight in declared else "unknown",

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose.conclusion import predicted_worse
-from flighttest.diagnose.findings import held_out_gain, parameter_table
+from flighttest.diagnose.findings import held_out_gain, parameter_table, undetermined_sizes
 from flighttest.diagnose.records import HeldOutRow
 from flighttest.identify.fit import Estimate
+from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 
 SHARE, TAU = "attitude_pole_share", "attitude_pole_tau"
@@ -39,6 +40,25 @@ def test_a_parameter_at_its_bound_is_reported_by_its_range():
 
 def test_what_was_not_estimated_is_not_in_the_table():
     assert set(parameter_table(fit_of(**{SHARE: (0.9, None, None), TAU: (0.05, 0.01, (0.03, 0.07))}))) == {TAU}
+
+
+@pytest.mark.parametrize(
+    ("intervals", "said"),
+    [
+        (
+            {"m_u": (-0.6, 3.6), "l_v": (-7.0, 2.4), "m_w": (-0.1, 3.0), "l_w": (-0.2, 0.1)},
+            "each coefficient contains it",
+        ),
+        ({"m_u": (0.8, 1.9), "l_v": (-7.0, 2.4), "m_w": (-0.1, 3.0), "l_w": (-0.2, 0.1)}, ""),
+        ({"m_u": (-0.6, 3.6)}, "its coefficient contains it"),
+        ({"moment_trim_1_s": (0.5, 1.5)}, ""),
+    ],
+)
+def test_a_name_beside_intervals_that_contain_its_absence_says_so(intervals, said):
+    rows = {n: {"value": 0.5 * sum(i), "interval_95": list(i)} for n, i in intervals.items()}
+    found = undetermined_sizes(catalogue()["airflow_moment"], rows)
+    assert said in found
+    assert bool(found) is bool(said)
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def test_the_autopilot_has_trimmed_the_mean_velocity_through_the_air_in_body_axe
     n = segment.t_s.size
     held = {"roll_rad": 0.0, "pitch_rad": 0.3, "yaw_rad": np.pi / 2, "v_x_m_s": 0.0, "v_y_m_s": 2.0, "v_z_m_s": 1.0}
     flown = replace(segment, y=segment.y | {name: np.full(n, value) for name, value in held.items()})
-    wind = FlightWind("one", 0.0, -3.0, 1.0, 1.0, 9.0, WindVerdict.WIND)  # from ahead: the nose points to the west
+    wind = FlightWind("one", 0.0, -3.0, 1.0, 1.0, 9.0, WindVerdict.WIND, 2.0)  # from ahead: the nose points to the west
     slower = replace(flown, y=flown.y | {"v_y_m_s": np.full(n, 0.0)})
     found = in_still_air([flown, slower], [wind])
     forward, up = 4.0 * np.cos(0.3) - np.sin(0.3), 4.0 * np.sin(0.3) + np.cos(0.3)

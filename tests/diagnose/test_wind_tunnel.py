@@ -20,6 +20,9 @@ def test_a_wind_is_named_where_the_fan_blew_and_its_interval_holds_that_of_the_f
     (wind,) = found.winds
     assert wind["w_north"] == pytest.approx(-4.2, abs=2.0 * wind["w_north_std"])
     assert wind["w_north_std"] < 2.0
+    (row,) = [f.parameters[f"w_north@{wind['flight']}"] for f in found.findings if f.term == "steady_wind"]
+    half = wind["factor_95"] * wind["w_north_std"]  # what the table of winds prints is the interval of the finding
+    assert row["interval_95"] == pytest.approx([wind["w_north"] - half, wind["w_north"] + half])
 
 
 @pytest.mark.parametrize("flight", ["L1_35wind", "NF-C_70wind"])

@@ -182,5 +182,5 @@ def test_rotation_of_this_test_is_that_of_the_package():
     ("verdicts", "found"), [(("none seen",), True), (("none seen", "none seen"), False), (("none seen", "wind"), True)]
 )
 def test_of_several_flights_one_must_have_a_wind_by_its_own_interval(verdicts, found):
-    flown = [FlightWind(f"f{k}", 0.7, 0.1, 1.0, 0.5, 0.5, WindVerdict(v)) for k, v in enumerate(verdicts)]
+    flown = [FlightWind(f"f{k}", 0.7, 0.1, 1.0, 0.5, 0.5, WindVerdict(v), 2.0) for k, v in enumerate(verdicts)]
     assert any_wind(flown) is found

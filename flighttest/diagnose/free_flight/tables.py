@@ -10,7 +10,6 @@ from flighttest.diagnose.free_flight.equation_search import OFFSET_TERM, Equatio
 from flighttest.diagnose.records import ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.estimation.linearisation import Linearisation
-from flighttest.estimation.uncertainty.covariance import interval_factor
 from flighttest.identify.free_flight import FreeFlight
 from flighttest.identify.winds import CHANCE, WIND_TERM
 from flighttest.physics.catalogue import catalogue
@@ -41,14 +40,14 @@ def pairs_of_flights(found: EquationSearch) -> list[str]:
 def table_of(found: FreeFlight, model: Model | None) -> dict[str, ParameterRow]:
     """Estimated parameters as rows; `model` None: those of single flights, too."""
     rows: dict[str, ParameterRow] = {}
-    factor = interval_factor(float(max(found.blocks - len(found.names), 1)))
     for n, std in found.std.items():
         if model is not None and n not in model.names:
             continue
         value, p = found.values[n], found.model.param[n.split("@")[0]]
         if np.isfinite(std):
             rows[n] = {
-                "value": value, "std": std, "unit": p.unit, "interval_95": [value - factor * std, value + factor * std], "scatter": std,
+                "value": value, "std": std, "unit": p.unit, "interval_95": [value - found.factor_95 * std, value + found.factor_95 * std],
+                "scatter": std,
             }  # fmt: skip
     return rows
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypedDict, cast
+from typing import Any, NotRequired, TypedDict, cast
 
 import yaml
 
@@ -37,7 +37,8 @@ class NoiseBlock(TypedDict, total=False):
 
 
 class FlightWindRow(TypedDict):
-    """Velocity of the air in one flight, m/s, world NWU, with standard errors. verdict: 'wind', 'none seen' or 'still' (declared)."""
+    """Velocity of the air in one flight, m/s, world NWU, with standard errors; factor_95: half a 95 % interval in these (files before it
+    have none). verdict: 'wind', 'none seen' or 'still' (declared)."""
 
     flight: str
     w_north: float
@@ -46,6 +47,7 @@ class FlightWindRow(TypedDict):
     w_west_std: float
     speed_m_s: float
     speed_std: float
+    factor_95: NotRequired[float]
     from_deg: float
     verdict: str
     declared: str

@@ -15,6 +15,7 @@ from flighttest.report.numbers import number, percent, to_error, unit
 from flighttest.report.sections.diagnosis_figures import before_after, channel_words, heat_map, regimes
 
 BASELINE_WORDS = {"with what was left out": "improved model"}  # a key of diagnosis.json
+NORMAL_95 = 1.96  # of winds in files that do not state their factor
 FEW_PLACES = 2  # where a mismatch is, which a terminal names without being asked
 _VERDICT_TONES: dict[str, Tone] = {
     "EXPLAINED": "good",
@@ -139,13 +140,13 @@ def winds_table(winds: Sequence[FlightWindRow]) -> Section | None:
     """The wind of each flight, where free flight shows one."""
     rows = []
     for w in winds:
-        seen = w["verdict"] == "wind"
+        seen, factor = w["verdict"] == "wind", w.get("factor_95", NORMAL_95)
         rows.append(
             (
                 w["flight"],
-                f"{w['w_north']:.2f} ± {1.96 * w['w_north_std']:.2f}",
-                f"{w['w_west']:.2f} ± {1.96 * w['w_west_std']:.2f}",
-                f"{w['speed_m_s']:.1f} ± {1.96 * w['speed_std']:.1f}",
+                f"{w['w_north']:.2f} ± {factor * w['w_north_std']:.2f}",
+                f"{w['w_west']:.2f} ± {factor * w['w_west_std']:.2f}",
+                f"{w['speed_m_s']:.1f} ± {factor * w['speed_std']:.1f}",
                 f"{w['from_deg']:.0f}°" if seen else "",
                 Cell(w["verdict"], "good" if seen else "quiet"),
             )
