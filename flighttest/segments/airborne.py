@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,13 +18,17 @@ _LOW_M = 0.15
 _STILL_M_S = 0.15
 _STANDS_S = 1.0  # motors off for so long in the air would be a fall at 10 m/s
 _RESTS_M_S2 = 0.5  # specific force of what stands differs from g by less
+# Of the throttle at which most of the flight has a specific force near g. With less, and that force, something else carries the vehicle:
+# no climb, descent, battery or ground effect doubles the thrust per throttle.
+_CARRIED = 0.5
+_FALLEN_S = 1.0  # upside down for so long: no flip lasts longer, and thrust downwards has made 20 m/s
 
 
 def flights(recording: Recording) -> tuple[tuple[float, float], ...]:
     """From take-off to landing, s, of every flight of a recording in order; at least one."""
     start, end = _whole(recording)
     bounds = [start]
-    for down, up in _landings(recording, start, end):
+    for down, up in _joined([*_landings(recording, start, end), *_crashes(recording, start, end)]):
         bounds += [down, up]
     pieces = zip(bounds[::2], [*bounds[1::2], end], strict=True)
     return tuple((a, b) for a, b in pieces if a < b) or ((start, end),)
@@ -93,12 +99,12 @@ def _still(recording: Recording, start: float, end: float, name: str = "v_x_m_s"
 
 
 def _landings(recording: Recording, start: float, end: float) -> list[tuple[float, float]]:
-    """Stretches between two flights, s: motors idle, and the vehicle at rest for all that was recorded."""
+    """Stretches between two flights, s: motors give too little to fly, and the vehicle is at rest for all that was recorded."""
     if not recording.has("throttle"):
         return []
     t, throttle = recording.channel("throttle")
     inside = (t >= start) & (t <= end) & np.isfinite(throttle)
-    t, idle = t[inside], throttle[inside] <= _IDLE
+    t, idle = t[inside], throttle[inside] <= _too_little(recording, t[inside], throttle[inside])
     turns = np.flatnonzero(np.diff(np.concatenate([[False], idle, [False]]).astype(np.int8)))
     found: list[tuple[float, float]] = []
     for first, after in zip(turns[::2], turns[1::2], strict=True):
@@ -108,14 +114,71 @@ def _landings(recording: Recording, start: float, end: float) -> list[tuple[floa
     return found
 
 
+def _too_little(recording: Recording, t: FloatArray, throttle: FloatArray) -> float:
+    """Throttle with which nothing flies: an idle one, and where the specific force shows that something else carries the vehicle then, half
+    of that which mostly does."""
+    at, force = _known_force(recording)
+    driven = (
+        (np.abs(np.interp(t, at, force) - _weight(recording)) < _RESTS_M_S2) & (throttle > _IDLE) if at.size else None
+    )
+    return max(_IDLE, _CARRIED * float(np.median(throttle[driven]))) if driven is not None and driven.any() else _IDLE
+
+
+def _known_force(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """(t, f_z) where it was measured."""
+    if not recording.has("f_z_m_s2"):
+        return np.zeros(0), np.zeros(0)
+    t, force = recording.channel("f_z_m_s2")
+    good = np.isfinite(force)
+    return t[good], force[good]
+
+
+def _weight(recording: Recording) -> float:
+    """Specific force that carries the vehicle, as its accelerometer reads it (one of 2014: 8.2), m/s^2: the median with driven motors."""
+    t, force = _known_force(recording)
+    if not t.size or not recording.has("throttle"):
+        return G_M_S2
+    at, throttle = recording.channel("throttle")
+    good = np.isfinite(throttle)
+    driven = np.interp(t, at[good], throttle[good]) > _IDLE if good.any() else np.zeros(t.size, dtype=bool)
+    return float(np.median(force[driven])) if driven.any() else G_M_S2
+
+
+def _crashes(recording: Recording, start: float, end: float) -> list[tuple[float, float]]:
+    """Stretches in which the vehicle lies upside down, s, with the fall before and until it takes off again, where that is recorded."""
+    if not recording.has("roll_rad", "pitch_rad"):
+        return []
+    t, roll = recording.channel("roll_rad")
+    pitch = np.interp(t, *recording.channel("pitch_rad"))
+    inside = (t >= start) & (t <= end) & np.isfinite(roll) & np.isfinite(pitch)
+    t, over = t[inside], (np.cos(roll) * np.cos(pitch))[inside] < 0.0
+    turns = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(np.int8)))
+    again = sorted(m.t_s + _ASIDE_S for m in recording.markers if m.label == "take-off")
+    found = []
+    for first, after in zip(turns[::2], turns[1::2], strict=True):
+        down, up = float(t[first]), float(t[after - 1])
+        if up - down >= _FALLEN_S:
+            found.append((down - _ASIDE_S, next((a for a in again if a > down), up)))
+    return found
+
+
+def _joined(stretches: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """In order, those that overlap as one."""
+    found: list[tuple[float, float]] = []
+    for a, b in sorted(stretches):
+        if found and a <= found[-1][1]:
+            found[-1] = found[-1][0], max(found[-1][1], b)
+        else:
+            found.append((a, b))
+    return found
+
+
 def _at_rest(recording: Recording, start: float, end: float) -> bool:
     if recording.has("v_x_m_s", "v_y_m_s", "v_z_m_s"):
         return all(_still(recording, start, end, name) for name in ("v_x_m_s", "v_y_m_s", "v_z_m_s"))
-    if recording.has("f_z_m_s2"):
-        t, force = recording.channel("f_z_m_s2")
-        inside = (t >= start) & (t <= end) & np.isfinite(force)
-        return bool(inside.any()) and abs(float(np.median(force[inside])) - G_M_S2) < _RESTS_M_S2
-    return False  # no evidence that it stood
+    t, force = _known_force(recording)
+    inside = (t >= start) & (t <= end)  # none: no evidence that it stood
+    return bool(inside.any()) and abs(float(np.median(force[inside])) - _weight(recording)) < _RESTS_M_S2
 
 
 def _low(recording: Recording, down: float, up: float) -> tuple[float, float]:

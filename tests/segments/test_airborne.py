@@ -1,0 +1,55 @@
+"""What is flight and what is none, of recordings whose take-offs and landings the autopilot reports wrongly or not at all."""
+
+import numpy as np
+import pytest
+
+from flighttest.frames import G_M_S2
+from flighttest.recording import Recording
+from flighttest.recording.model import Marker, Provenance, Series
+from flighttest.segments.airborne import flights
+
+
+def recorded(throttle, force, roll=0.0, markers=()):
+    """60 s at 20 Hz: functions of time, s, or constants."""
+    t = np.arange(0.0, 60.0, 0.05)
+    made = [
+        np.broadcast_to(np.asarray(v(t) if callable(v) else v, dtype=float), t.shape) for v in (throttle, force, roll)
+    ]
+    series = {
+        "reference": Series(t, {"throttle": made[0]}), "specific_force": Series(t, {"f_z_m_s2": made[1]}),
+        "attitude": Series(t, {"roll_rad": made[2], "pitch_rad": np.zeros(t.size)}),
+    }  # fmt: skip
+    return Recording("made", series, tuple(markers), Provenance("made", "table"))
+
+
+def spans(recording):
+    return [tuple(round(x) for x in span) for span in flights(recording)]
+
+
+@pytest.mark.parametrize(
+    ("throttle", "force", "found"),
+    [
+        (0.12, G_M_S2, [(0, 19), (36, 60)]),  # stands: the ground carries it
+        (0.12, 8.2, [(0, 19), (36, 60)]),  # the same, all of its accelerometer's readings 1.6 m/s^2 too low
+        (0.35, G_M_S2, [(0, 60)]),  # a descent: more air from below, and the throttle that carries it is less
+        (0.12, 2.5, [(0, 60)]),  # falls
+    ],
+)
+def test_what_stands_with_motors_turning_does_not_fly(throttle, force, found):
+    usual = 8.2 if force == 8.2 else G_M_S2
+
+    def between(inside, outside):
+        return lambda t: np.where((t >= 20.0) & (t < 35.0), inside, outside)
+
+    assert spans(recorded(between(throttle, 0.5), between(force, usual))) == found
+
+
+@pytest.mark.parametrize(
+    ("lasts_s", "up", "found"),
+    [(5.0, (), [(0, 19), (25, 60)]), (5.0, (40.0,), [(1, 19), (41, 60)]), (0.6, (), [(0, 60)])],
+)
+def test_what_lies_upside_down_has_crashed_until_it_takes_off_again(lasts_s, up, found):
+    """A pilot's log of 2014 went on through two crashes, and the windows on its back were used as free flight; a flip is flight."""
+    roll = lambda t: np.where((t >= 20.0) & (t < 20.0 + lasts_s), 3.0, 0.1)  # noqa: E731
+    marks = [Marker(at, "note", "take-off") for at in ((0.0, *up) if up else ())]
+    assert spans(recorded(0.5, G_M_S2, roll, marks)) == found
