@@ -1,10 +1,31 @@
 """A fit that determines nothing gives the reasons in ten lines."""
 
+import numpy as np
+import pandas as pd
+
 from flighttest.pipeline.identification.fitting import fit
 
 
-def test_a_fit_that_determines_nothing_gives_the_reasons(shared_data):
-    result = fit([shared_data / "arducopter_logs" / "copter_3.2_2014.BIN"])
+def hover(folder):
+    """20 s in which nothing is asked for and nothing moves but the noise of the instruments, which drowns what the throttle does."""
+    rng, t = np.random.default_rng(3), np.arange(0.0, 20.0, 0.02)
+    noise = {
+        "roll_rad": 0.02,
+        "pitch_rad": 0.02,
+        "yaw_rad": 0.02,
+        "v_x_m_s": 0.3,
+        "v_y_m_s": 0.3,
+        "v_z_m_s": 0.3,
+        "f_z_m_s2": 2.0,
+    }
+    table = {"t_s": t} | {name: rng.normal(9.81 * (name == "f_z_m_s2"), std, t.size) for name, std in noise.items()}
+    wanted = {"roll_ref_rad": 0.0, "pitch_ref_rad": 0.0, "throttle": 0.2 + 0.001 * np.sin(t)}
+    pd.DataFrame(table | wanted).to_csv(folder / "hover.csv", index=False)
+    return folder / "hover.csv"
+
+
+def test_a_fit_that_determines_nothing_gives_the_reasons(tmp_path):
+    result = fit([hover(tmp_path)])
     first = result.document.sections[0]
     assert first.title == "Why nothing is known"
     (bullets,) = first.blocks
