@@ -16,11 +16,12 @@ from flighttest.segments.model import Segment
 
 
 def prediction_quality(
-    segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise
+    segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise, free: Sequence[str] = ()
 ) -> dict[str, ChannelQuality]:
-    """Residuals of responses whose parameters are all held: only initial states and each response's disturbance are estimated."""
+    """Residuals of responses whose parameters are held: only initial states and each response's disturbance are estimated, and the
+    parameters that are free."""
     problem = problem_of(segments, model, select="all", values=values)
-    solution = solve(problem, Start(noise=noise), free=(), robust=False, estimate_noise=False)
+    solution = solve(problem, Start(noise=noise), free=tuple(free), robust=False, estimate_noise=False)
     return channel_quality(problem, finite_or_error(solution))
 
 

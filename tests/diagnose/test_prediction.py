@@ -3,10 +3,13 @@
 from types import SimpleNamespace
 
 import pytest
+from flight import TRUE, campaign, fly
 
 from flighttest.diagnose import Verdict
-from flighttest.diagnose.prediction import floors_of
+from flighttest.diagnose.prediction import floors_of, prediction_quality
 from flighttest.diagnose.records import FROM_REPEATS, FROM_RESIDUAL
+from flighttest.identify.fit import fit
+from flighttest.physics.model import Model
 
 CHANNEL = "f_x_m_s2"
 FIT = SimpleNamespace(quality={CHANNEL: SimpleNamespace(rmse=0.10, floor=0.07)})
@@ -34,3 +37,21 @@ def test_repeats_are_taken_whatever_the_fit_leaves(verdict):
 
 def test_a_channel_that_was_not_diagnosed_has_the_fast_part_of_its_residual():
     assert floors_of(FIT, diagnosed(Verdict.NOTHING_MISSING)) == {CHANNEL: 0.07}
+
+
+def test_a_delay_that_is_the_runs_own_is_estimated_and_nothing_else():
+    """A link that came 3 ms later for all of a run is no error of the vehicle; a yaw rate that is followed more slowly is one."""
+    segments = fly(campaign(2, throttles=False, tilts=False))
+    model = Model(("linear_drag",))
+    found = fit(segments, model, select="all")
+    assert found.values["T_d_yaw_rate"] == pytest.approx(TRUE["T_d"], abs=0.002)
+    later = found.values | {"T_d_yaw_rate": found.values["T_d_yaw_rate"] - 0.003}
+    slower = found.values | {"sigma_r": 0.8 * found.values["sigma_r"]}
+
+    def error(values, free=()):
+        made = prediction_quality(segments, model, values, found.noise, free)
+        return made["r_rad_s"].rmse / found.quality["r_rad_s"].rmse
+
+    assert error(later) > 1.2
+    assert error(later, ("T_d_yaw_rate",)) == pytest.approx(1.0, abs=0.02)
+    assert error(slower, ("T_d_yaw_rate",)) > 1.2

@@ -161,3 +161,15 @@ def test_a_term_of_the_loops_is_looked_for_in_what_flew_under_the_firmware(monke
     data = twin.compare_with_recordings(file, [], found, [SimpleNamespace(usable=True)], firmware=firmware)
     assert data["lacks"] == lacks
     assert ("attitude_pole_tau" in data["differing"]) == (pole > 0.1 or not firmware)
+
+
+@pytest.mark.parametrize("firmware", [True, False])
+def test_under_the_firmware_the_delays_are_those_of_the_recorded_runs(monkeypatch, firmware):
+    """A target waits up to 2.5 ms for the firmware's next cycle, and all repeats of a run wait alike."""
+    file, freed = stored(channel_delays=True), []
+    fit = SimpleNamespace(quality={}, noise=None, values=file.values)
+    errors = {n: (0.01 * file.values[n] + 1e-6, 30.0) for n in file.model.names}
+    monkeypatch.setattr(twin, "prediction_quality", lambda *words: freed.extend(words[4]) or {})
+    monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(file.model, file.values, errors))
+    twin.compare_with_recordings(file, [], diagnosed(fit, file.model), (), firmware)
+    assert freed == (["T_d_attitude", "T_d_yaw_rate"] if firmware else [])
