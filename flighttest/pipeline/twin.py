@@ -270,7 +270,7 @@ def compare_with_recordings(
         for c, q in made.items()
         if c in floors and floors[c] > 0
     }
-    steps_flown = flown_errors(segments, flown)
+    steps_flown = flown_errors(segments, flown, stored.values["alpha"], stored.model.nominal_voltage_v)
     judged = channels | steps_flown if firmware else channels
     above = [c for c, v in judged.items() if v["ratio"] > NEAR_FLOOR]
     differing: list[Difference] = [d for d in rows if d.differs]

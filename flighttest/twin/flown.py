@@ -4,13 +4,17 @@ With x_i the recorded responses of one step, m in number, and y the mean of the 
 recording by themselves would give, s sqrt(1 + 1/n) with s^2 the variance between the repeats. Each response counts from its own state
 before the step, and moved in time to where it fits y best: a link delivers one command earlier than another by milliseconds, which on the
 slope of a step is more than all else that repeats differ by. The mean of these moves is given apart, as a delay. Compared is what was
-commanded alike: the stop after a step is planned with the model of that time, and the twin's plan has a better one.
+commanded alike: the stop after a step is planned with the model of that time, and the twin's plan has a better one. For the same reason
+what was held before a step is held longer by one of them, and only the last of it counts as the state before the step. Repeats of throttle
+steps are flown at other voltages; their specific force counts as at the nominal one, by the identified exponent, or the floor would be the
+battery's.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,16 +39,19 @@ ATTITUDE_STEPS: Mapping[str, tuple[str, str, str]] = {
 LONGEST_S = 1.2  # of a mean response: the loops have settled, and a counter-step follows
 GRID_S = 0.02
 MOVE_S = 0.1  # most that a link's delay is taken to differ by
+BEFORE_S = 0.1  # of the state before a step: thrust has a lag of 0.07 s, and holds begin 0.28 to 0.8 s before the step
 _COARSE_S, _MOVES_S = 0.01, 0.001
 _WITHIN = (-0.4, -0.2, 0.0, 0.2, 0.4)
 _FEWEST = 5  # samples of a response
 
 
-def flown_errors(real: Sequence[Segment], twin: Sequence[Segment]) -> dict[str, dict[str, float]]:
+def flown_errors(
+    real: Sequence[Segment], twin: Sequence[Segment], alpha: float = 0.0, nominal_voltage_v: float = 1.0
+) -> dict[str, dict[str, float]]:
     """By channel, SI: rmse of the twin's mean response, floor (what repeats would give), ratio of the two; later_s: by which the recorded
     responses come later than the twin's, later_std_s its standard error by their scatter and the search; steps: number of cells compared.
-    Cells that the recording did not repeat have no floor and do not count."""
-    sides = [_cells(real), _cells(twin)]
+    Cells that the recording did not repeat have no floor and do not count. alpha: exponent of the voltage in the thrust."""
+    sides = [_cells([_at_voltage(s, nominal_voltage_v, alpha) for s in side]) for side in (real, twin)]
     rows: dict[str, list[tuple[float, float]]] = {}
     moves: dict[str, list[FloatArray]] = {}
     for key in sides[0].keys() & sides[1].keys():
@@ -133,6 +140,14 @@ def _in_step(
     return np.array([_moved(c, m, grid) for c, m in zip(curves, late, strict=True)]), y, late - base
 
 
+def _at_voltage(segment: Segment, volts: float, alpha: float) -> Segment:
+    """A throttle step with its specific force as at another voltage, V: it is thrust but for the drag."""
+    ratio = _mean_voltage(segment) / volts
+    if segment.kind != "throttle_step" or "f_z_m_s2" not in segment.y or not ratio > 0.0:
+        return segment
+    return replace(segment, y={**segment.y, "f_z_m_s2": segment.y["f_z_m_s2"] * ratio**-alpha})
+
+
 def _cells(segments: Sequence[Segment]) -> dict[object, list[Segment]]:
     cells: dict[object, list[Segment]] = {}
     for s in segments:
@@ -142,11 +157,12 @@ def _cells(segments: Sequence[Segment]) -> dict[object, list[Segment]]:
 
 
 def _since_the_step(segment: Segment, channel: str, exact: bool = False) -> Curve:
-    """The response as a function of the time since the step, less its mean before it. exact: read at that very time."""
+    """The response as a function of the time since the step, less its mean in the last BEFORE_S before it. exact: read at that very
+    time."""
     t, y = segment.t_s - segment.t_step_s, segment.y[channel]
     good = np.isfinite(y)
     t, y = t[good], y[good]
-    before = y[t <= 0.0]
+    before = y[(t <= 0.0) & (t > -BEFORE_S)]
     y = y - (before.mean() if before.size else y[0])
     if exact:
         return CubicSpline(t, y, extrapolate=False) if t.size > 3 else lambda at: np.interp(at, t, y)

@@ -102,3 +102,35 @@ def test_the_mean_response_is_of_both_signs_and_late_by_the_mean_delay():
     assert t[-1] == pytest.approx(0.9 - MOVE_S, abs=0.021)  # the counter-step is not in it
     assert found["answer"] == pytest.approx(0.2 * np.clip((t - 0.04) / 0.3, 0.0, 1.0), abs=4e-3)
     assert mean_steps([s for s in flown if s.kind == "pitch_step"]) == {}
+
+
+def throttled(rng, volts, held_s=0.6, gain=1.0, alpha=1.6, lag_s=0.07, noise=0.03):
+    """Steps of the specific force from 3 to 10 m/s^2 at 22.2 V, once per voltage; before them it came from 8 within a lag of thrust."""
+    t = np.arange(-held_s, 1.0, 0.02)
+    before = 3.0 + 5.0 * np.exp(-(t + held_s) / lag_s)
+    thrust = np.where(t < 0.0, before, 10.0 + (before - 10.0) * np.exp(-np.maximum(t, 0.0) / lag_s))
+    return [
+        Segment(
+            f"s{i}", "r", "throttle_step", {"throttle_0": 0.05, "throttle_1": 0.2}, i, 5.0, t + 5.0,
+            {"f_z_m_s2": gain * thrust * (v / 22.2) ** alpha + noise * rng.standard_normal(t.size), "voltage_v": np.full(t.size, v)}, {},
+        )
+        for i, v in enumerate(volts)
+    ]  # fmt: skip
+
+
+def test_the_battery_is_not_in_the_floor_of_the_thrust():
+    """With repeats at 24.8 to 22 V as they are, the floor is the battery's, and thrust that is 3 % off passes."""
+    rng, volts = np.random.default_rng(9), (24.8, 23.6, 22.7, 22.0)
+    lower = tuple(v - 0.15 for v in volts)  # the twin's pack
+    real = throttled(rng, volts)
+    for gain, passes in ((1.0, True), (1.03, False)):
+        twin = throttled(rng, lower, gain=gain)
+        assert (flown_errors(real, twin, 1.6, 22.2)["f_z_m_s2"]["ratio"] < 1.2) == passes
+        assert flown_errors(real, twin)["f_z_m_s2"]["ratio"] < 1.2
+    assert flown_errors(real, throttled(rng, lower), 1.6, 22.2)["f_z_m_s2"]["floor"] < 0.04
+
+
+def test_a_hold_of_another_length_before_the_step_is_no_other_thrust():
+    rng, volts = np.random.default_rng(10), (23.0,) * 20
+    found = flown_errors(throttled(rng, volts, noise=0.09), throttled(rng, volts, held_s=0.45, noise=0.09))["f_z_m_s2"]
+    assert found["ratio"] < 1.2
