@@ -90,7 +90,7 @@ class Param:
 @dataclass(frozen=True)
 class State:
     """A state a term owns: name, unit, doc, and whether its initial value is free (estimated per segment, with the prior standard
-    deviation `spread` about `initial`) or `initial`."""
+    deviation `spread` about `initial`) or `initial`. settles: to `initial`, where nothing moves the vehicle."""
 
     name: str
     unit: str
@@ -98,6 +98,7 @@ class State:
     free: bool = False
     initial: float = 0.0
     spread: float = 1.0
+    settles: bool = False
 
 
 @dataclass

@@ -209,9 +209,33 @@ def evidence_of(
     )
     if found.why_not:
         return found
-    # Asked last: it takes a covariance.
+    # Asked last: they take a fit and a covariance.
+    alone = undriven(term, fitted, without, estimator, groups)
+    if alone:
+        return replace(found, nothing=alone)
     gain = float(before.rows.residual @ before.rows.residual - after.rows.residual @ after.rows.residual)
     return replace(found, nothing=may_be_absent(term, fitted, gain, estimator))
+
+
+def undriven(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:
+    """Why a term whose states settle may be no part of the vehicle, empty where what moves the vehicle shows it, too.
+
+    States that are free at the start of every response follow whatever wanders slowly in it, the error of an estimator for one. The same
+    equations from rest have only what the flight excites: a term is the vehicle's where these alone are better than none at `PROBABILITY`.
+    """
+    if not any(s.settles for s in term.states):
+        return ""
+    rest = replace(term, states=tuple(replace(s, free=s.free and not s.settles) for s in term.states))
+    model = fitted.model.without_terms(term.id).with_terms(rest)
+    at = estimator.fit(model, estimator.moved(model, fitted.at), fitted.names)
+    from_rest = Fitted(model, fitted.names, at, estimator.linearise(model, at, fitted.names), fitted.inactive)
+    if not from_rest.finite:
+        return ""
+    known = floor_of(from_rest.rows, estimator.segments, RESOLUTION)
+    nats = sum(log_evidence(from_rest, without, estimator, groups, known).values())
+    if nats >= log_odds_asked(1):
+        return ""
+    return f"from rest it explains nothing ({nats:.1f} nats): what it follows was there before each response, and nothing flown moves it"
 
 
 def visible(change: FloatArray | None) -> bool:

@@ -71,9 +71,9 @@ slung_payload = Term(
     needs=("v_x_m_s",),
     # A load still swings from the flight to the start when a step begins.
     states=(
-        State("swing_north", "1", "swing towards north: twice the tangent of half its angle", free=True, spread=0.15),
-        State("swing_west", "1", "the same towards west", free=True, spread=0.15),
-        State("swing_north_rate_1_s", "1/s", "its rate towards north", free=True, spread=0.7),
-        State("swing_west_rate_1_s", "1/s", "its rate towards west", free=True, spread=0.7),
+        State("swing_north", "1", "swing towards north: twice the tangent of half its angle", free=True, spread=0.15, settles=True),
+        State("swing_west", "1", "the same towards west", free=True, spread=0.15, settles=True),
+        State("swing_north_rate_1_s", "1/s", "its rate towards north", free=True, spread=0.7, settles=True),
+        State("swing_west_rate_1_s", "1/s", "its rate towards west", free=True, spread=0.7, settles=True),
     ),
 )  # fmt: skip
