@@ -1,19 +1,20 @@
 """An identified vehicle without its attitude loops, for an autopilot that brings its own: motor commands in, motion out.
 
 Rotation is a frame's: each moment of the motors is an angular acceleration with a first-order lag; moments of the air are the identified
-model's. Translation is the identified model's, driven by the
-attitude that comes of it; the mean motor command is its throttle.
+model's. Translation is the identified model's, driven by the attitude that comes of it; the mean motor command is its throttle. Moments of
+the motors are made by the rotors that make the thrust: what the air and the battery do to one, they do to the other.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import cos, exp, sin
 
 import casadi as ca
 
+from flighttest.frames import G_M_S2
 from flighttest.physics.body import rotation
 from flighttest.physics.core import Port, Signals
 from flighttest.physics.model import Model
@@ -25,6 +26,7 @@ from flighttest.sim.plants.weather import Air
 # Signs of roll, pitch (FLU) and yaw of a quadrotor X in ArduCopter's motor order: front right, rear left, front left, rear right.
 _ROLL, _PITCH, _YAW = (-1.0, 1.0, 1.0, -1.0), (-1.0, 1.0, -1.0, 1.0), (-1.0, -1.0, 1.0, 1.0)
 AXES = ("roll", "pitch", "yaw")
+_UP = "f_z_m_s2"
 
 
 class FramePlant(TermsPlant):
@@ -39,7 +41,7 @@ class FramePlant(TermsPlant):
     def __init__(self, described: IdentifiedVehicle, battery: Battery | None = None, air: Air | None = None) -> None:
         model, values = of_description(described)
         super().__init__(model, values, battery, air)
-        self._of_the_air = moments_of_the_air(model, values)
+        self._of_the_air, self._in_air = moments_of_the_air(model, values), thrust_in_air(model, values)
         frame = described["frame"]
         self._gains = [float(frame[f"gain_{n}"]) for n in AXES]
         self._lags = [float(frame[f"lag_{n}"]) for n in AXES]
@@ -71,7 +73,7 @@ class FramePlant(TermsPlant):
 
     def _turn(self, commands: Sequence[float], h: float) -> None:
         """Moments to angular accelerations, rates and angles."""
-        gain = self.voltage_gain
+        gain = self.voltage_gain * self._in_air(self._x, self._u[:-1])
         wanted = [
             0.5 * g * gain * sum(s * c for s, c in zip(signs, commands, strict=False))
             for g, signs in zip(self._gains, (_ROLL, _PITCH, _YAW), strict=True)
@@ -126,3 +128,18 @@ def moments_of_the_air(model: Model, values: Mapping[str, float]) -> ca.Function
     for t in terms:
         total += t.build(s, {p.name: values[p.name] for p in t.params}, {x.name: 0.0 for x in t.states}).value
     return ca.Function("moments", [angles, velocity], [total])
+
+
+def thrust_in_air(model: Model, values: Mapping[str, float]) -> Callable[..., float]:
+    """Of states and inputs of a model: its thrust as a multiple of that without the terms of the air (`Port.AERO_GAIN`), by the specific
+    force along the body's up axis with and without them."""
+    gains = [t.id for t in model.built_terms if t.port is Port.AERO_GAIN]
+    bare = model.without_terms(*gains)
+    if not gains or tuple(bare.system.states) != tuple(model.system.states):
+        return lambda _states, _inputs: 1.0
+    x, u = ca.SX.sym("x", len(model.system.states)), ca.SX.sym("u", len(model.system.inputs))
+    at = list(model.system.outputs).index(_UP)
+    force, without = (m.system.function(x, u, [values[n] for n in m.names])[1][at] for m in (model, bare))
+    thrust = ca.fmax(x[list(model.system.states).index("a_t_m_s2")], 0.1 * G_M_S2)
+    made = ca.Function("in_air", [x, u], [1.0 + (force - without) / thrust])
+    return lambda states, inputs: float(made(states, inputs))
