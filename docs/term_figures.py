@@ -42,6 +42,7 @@ POINTS = 90  # of a drawn line
 SHOWS = 0.5  # difference of the residuals, in noise floors, from which on a flight shows the term
 # Sizes at which a picture shows the effect, where the nominal one hides in the noise of a single flight.
 SIZES: dict[str, dict[str, float]] = {
+    "airflow_moment": {"m_u": 6.0, "l_v": 6.0, "m_w": 0.0, "l_w": 0.0, "moment_trim_1_s": 1.0},
     "channel_delay": {"delay_attitude": 0.05, "delay_yaw_rate": 0.05},
     "ground_effect": {"R2_m2": 1.5},
     "motor_saturation": {"T_max": 0.33},
