@@ -85,10 +85,9 @@ class FreeFlight:
     inflation: float = 1.0
     blocks: int = 0
 
-    @property
-    def factor_95(self) -> float:
-        """Half a 95 % interval in standard errors (Student's t of the blocks of the covariance)."""
-        return interval_factor(float(max(self.blocks - len(self.names), 1)))
+    def factor(self, level: float = 0.95) -> float:
+        """Half an interval in standard errors (Student's t of the blocks of the covariance)."""
+        return interval_factor(float(max(self.blocks - len(self.names), 1)), level)
 
     @property
     def std(self) -> dict[str, float]:

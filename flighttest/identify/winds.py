@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
-from flighttest.frames import rotation_from_euler
+from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.identify.free_flight import FreeFlight, estimate, stretches
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
@@ -39,8 +39,8 @@ class WindVerdict(Enum):
 
 @dataclass(frozen=True)
 class FlightWind:
-    """Velocity of the air in one flight, m/s, world; std of each; chi2: of both against none; factor_95: half a 95 % interval in
-    standard errors."""
+    """Velocity of the air in one flight, m/s, world; std of each; chi2: of what drag shows of them against none; factor_95: half a 95 %
+    interval in standard errors."""
 
     flight: str
     north: float
@@ -96,24 +96,59 @@ def winds(segments: Sequence[Segment], model: Model, weather: Mapping[str, str] 
     drag = [found.values[n] / found.std[n] for n in ("d_x", "d_y") if n in found.std and found.std[n] > 0]
     if not drag or max(drag) < 2.0:
         return None
-    return Winds(tuple(winds_of(found, declared)), found, turned(flown), declared)
+    return Winds(tuple(winds_of(found, headings_of(flown), declared)), found, turned(flown), declared)
 
 
-def winds_of(found: FreeFlight, declared: frozenset[str] = frozenset()) -> list[FlightWind]:
-    """The wind of every flight in an estimate with `w_north` and `w_west` per flight. declared: flights declared to be in still air."""
+def winds_of(
+    found: FreeFlight, headings: Mapping[str, float], declared: frozenset[str] = frozenset()
+) -> list[FlightWind]:
+    """The wind of every flight in an estimate with `w_north` and `w_west` per flight. headings: of flights that keep theirs, as of
+    `headings_of`; declared: flights declared to be in still air.
+
+    A wind is force over drag, and a force over a drag that may be none says nothing of it (Fieller 1954: its interval has no end). At one
+    heading the axes of the body are tested apart, and only those whose drag is distinguished from none.
+    """
     made = []
+    dragged = np.array([_drag_is_seen(found, axis) for axis in "xy"])
     for flight in found.flights:
         at = [found.names.index(f"{n}@{flight}") for n in WIND]
         w = np.array([found.values[found.names[i]] for i in at])
         covariance = found.covariance[np.ix_(at, at)]
         std = np.sqrt(np.diag(covariance))
-        chi2 = float(w @ np.linalg.pinv(covariance) @ w) if np.isfinite(std).all() else 0.0
+        yaw = headings.get(flight)
+        to_body = (
+            np.eye(2) if yaw is None else np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])[dragged]
+        )
+        along, known = to_body @ w, to_body @ covariance @ to_body.T
+        chi2 = float(along @ np.linalg.pinv(known) @ along) if np.isfinite(std).all() else 0.0
         calm = WindVerdict.STILL if flight in declared else WindVerdict.NONE_SEEN
-        verdict = WindVerdict.WIND if chi2_beyond(chi2, 2) < CHANCE else calm
+        verdict = WindVerdict.WIND if along.size and chi2_beyond(chi2, along.size) < CHANCE else calm
         made.append(
-            FlightWind(flight, float(w[0]), float(w[1]), float(std[0]), float(std[1]), chi2, verdict, found.factor_95)
+            FlightWind(flight, float(w[0]), float(w[1]), float(std[0]), float(std[1]), chi2, verdict, found.factor())
         )
     return made
+
+
+def _drag_is_seen(found: FreeFlight, axis: str) -> bool:
+    """Whether the drag along an axis of the body, at hover thrust, is above none at the level at which winds are tested; what is not
+    estimated is known."""
+    slope = {f"d_{axis}": 1.0, "c_h": G_M_S2, f"k_{axis}": 1.0}
+    at = {found.names.index(n): weight for n, weight in slope.items() if n in found.names}
+    weights, own = np.array(list(at.values())), list(at)
+    drag = float(sum(found.values[found.names[i]] * weight for i, weight in at.items()))
+    std = float(np.sqrt(weights @ found.covariance[np.ix_(own, own)] @ weights))
+    return drag > found.factor(1.0 - CHANCE) * std
+
+
+def headings_of(flown: Sequence[Segment]) -> dict[str, float]:
+    """Mean yaw, rad, of each flight that keeps its heading (`turned`)."""
+    found = {}
+    for run in dict.fromkeys(s.run for s in flown):
+        own = [s for s in flown if s.run == run]
+        if not turned(own):
+            yaw = np.concatenate([s.y["yaw_rad"][np.isfinite(s.y["yaw_rad"])] for s in own])
+            found[run] = float(np.angle(np.mean(np.exp(1j * yaw))))
+    return found
 
 
 def any_wind(winds: Sequence[FlightWind]) -> bool:

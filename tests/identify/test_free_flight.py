@@ -10,7 +10,7 @@ from flighttest.errors import FitError
 from flighttest.frames import rotation_from_euler
 from flighttest.identify.free_flight import estimate, mixture, stretches
 from flighttest.identify.motion_equations import predicted
-from flighttest.identify.winds import FlightWind, WindVerdict, any_wind, winds
+from flighttest.identify.winds import FlightWind, WindVerdict, any_wind, headings_of, winds, winds_of
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -184,3 +184,38 @@ def test_rotation_of_this_test_is_that_of_the_package():
 def test_of_several_flights_one_must_have_a_wind_by_its_own_interval(verdicts, found):
     flown = [FlightWind(f"f{k}", 0.7, 0.1, 1.0, 0.5, 0.5, WindVerdict(v), 2.0) for k, v in enumerate(verdicts)]
     assert any_wind(flown) is found
+
+
+@pytest.mark.parametrize(
+    ("drag_std", "yaw", "found"),
+    [
+        (0.02, 0.0, "wind"),  # a drag of 0.1 1/s is seen
+        (0.05, 0.0, "none seen"),  # it may be none: what pushes along this axis says nothing of a wind
+        (0.05, np.pi / 2, "wind"),  # the axis that the wind blows along is then the one whose drag is seen
+        (0.05, None, "wind"),  # every axis of the body has met it
+    ],
+)
+def test_a_wind_is_seen_along_an_axis_whose_drag_is(drag_std, yaw, found):
+    names = ("d_x", "d_y", "w_north@a", "w_west@a")
+    values = dict(zip(names, (0.3, 0.1, 0.0, -16.0), strict=True))
+    covariance = np.diag(np.square([0.02, drag_std, 0.7, 4.0]))
+    made = replace(
+        estimate(flight(20.0, 1), Model(attitude_loops=False)),
+        names=names,
+        values=values,
+        covariance=covariance,
+        flights=("a",),
+        blocks=40,
+    )
+    (wind,) = winds_of(made, {} if yaw is None else {"a": yaw})
+    assert wind.verdict.value == found
+
+
+@pytest.mark.parametrize(("swing", "kept"), [(0.1, True), (1.5, False)])
+def test_a_flight_keeps_its_heading_where_it_hardly_turns(swing, kept):
+    (segment,) = flight(30.0, 2, run="one")[:1]
+    t = segment.t_s - segment.t_s[0]
+    weaving = replace(segment, y=segment.y | {"yaw_rad": 0.7 + swing * np.sin(6.0 * t)})
+    assert ("one" in headings_of([weaving])) is kept
+    if kept:
+        assert headings_of([weaving])["one"] == pytest.approx(0.7, abs=0.05)

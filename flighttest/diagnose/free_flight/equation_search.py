@@ -36,6 +36,7 @@ from flighttest.identify.winds import (
     FlightWind,
     WindVerdict,
     any_wind,
+    headings_of,
     still_air,
     turned,
     winds_of,
@@ -84,7 +85,7 @@ class EquationSearch:
     def seen(self) -> tuple[FlightWind, ...]:
         """The wind of every flight in the final model. That a single flight has one was decided by comparing models; its interval, which
         also holds what looks like a wind, may hold none."""
-        winds = tuple(winds_of(self.final, self.declared))
+        winds = tuple(winds_of(self.final, headings_of(self.flown), self.declared))
         return winds if len(winds) > 1 else tuple(replace(w, verdict=WindVerdict.WIND) for w in winds)
 
     @property
@@ -230,7 +231,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
     nats = _score(windy, tried) - _score(calm, tried)
     if probability_of(nats, len(known)) < PROBABILITY:
         return
-    if not any_wind(winds_of(tried, found.declared)):
+    if not any_wind(winds_of(tried, headings_of(asked.flown), found.declared)):
         found.refused[WIND_TERM] = nats, "no flight has a wind that its interval distinguishes from none"
         return
     gained = max(windy.log_likelihood - calm.log_likelihood, 0.0) / tried.inflation

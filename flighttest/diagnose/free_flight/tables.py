@@ -40,13 +40,14 @@ def pairs_of_flights(found: EquationSearch) -> list[str]:
 def table_of(found: FreeFlight, model: Model | None) -> dict[str, ParameterRow]:
     """Estimated parameters as rows; `model` None: those of single flights, too."""
     rows: dict[str, ParameterRow] = {}
+    factor = found.factor()
     for n, std in found.std.items():
         if model is not None and n not in model.names:
             continue
         value, p = found.values[n], found.model.param[n.split("@")[0]]
         if np.isfinite(std):
             rows[n] = {
-                "value": value, "std": std, "unit": p.unit, "interval_95": [value - found.factor_95 * std, value + found.factor_95 * std],
+                "value": value, "std": std, "unit": p.unit, "interval_95": [value - factor * std, value + factor * std],
                 "scatter": std,
             }  # fmt: skip
     return rows
