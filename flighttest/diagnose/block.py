@@ -25,11 +25,13 @@ from flighttest.diagnose.records import (
 )
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
 from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
+from flighttest.diagnose.residuals.mismatch import step_errors
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.baselines import baselines
 from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
 from flighttest.diagnose.selection.held_out import HeldOut, excess, gains_held_out, horizon_rmse
 from flighttest.diagnose.selection.search import Search, silent
+from flighttest.diagnose.step_error import StepError
 from flighttest.estimation.estimator import Estimator, part_of
 from flighttest.identify.dead_time import onset_delay, start_values
 from flighttest.identify.fit import Fit
@@ -79,6 +81,8 @@ class BlockAnswer:
     heldout: dict[str, dict[str, HeldOutRow]] = field(default_factory=dict)
     floors: dict[str, FloorRow] = field(default_factory=dict)
     cells: list[MapCell] = field(default_factory=list)
+    errors: list[StepError] = field(default_factory=list)
+    left: list[StepError] = field(default_factory=list)
     curves: list[RegimeCurve] = field(default_factory=list)
     overlaid: list[Overlay] = field(default_factory=list)
     candidates: list[CandidateRow] = field(default_factory=list)
@@ -147,6 +151,8 @@ def _tell(made: BlockAnswer, search: Search, asked: Asked) -> None:
     made.staying |= {place.channel for place in left}
     made.curves += regime_curves(places, base.rows, now.rows, segments)
     made.cells += residual_map(base.rows, now.rows, segments, floor)
+    made.errors += step_errors(base.rows, segments)
+    made.left += step_errors(now.rows, segments)
     made.overlaid += overlays(base.rows, now.rows, segments)
     seen = detectable(search)
     made.levels |= seen

@@ -26,6 +26,7 @@ from flighttest.diagnose.records import (
     SetAside,
     Unexplained,
 )
+from flighttest.diagnose.step_error import StepError
 from flighttest.identify.fit import Fit
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
@@ -132,7 +133,7 @@ class Diagnosis:
     floor, gain_95}; set_aside: responses that something pushed once, by name, and a sentence on them; baselines: name to channel to RMSE;
     residual_map: cells of the heat map; regimes: residual against the variable that explains it; overlays: worst responses,
     measured, before, after; complete: False when it was interrupted; fit: of the accepted model, what model.yaml is written from;
-    winds: of each flight, where free flight shows one.
+    winds: of each flight, where free flight shows one; errors, left: what the base model and the accepted one get wrong of each step.
     """
 
     verdict: Verdict
@@ -167,6 +168,8 @@ class Diagnosis:
     complete: bool = True
     runs: tuple[str, ...] = ()
     winds: tuple[FlightWindRow, ...] = ()
+    errors: tuple[StepError, ...] = field(default=(), repr=False)
+    left: tuple[StepError, ...] = field(default=(), repr=False)
     fit: Fit | None = field(default=None, repr=False)
 
     def to_json(self) -> DiagnosisData:
@@ -174,7 +177,7 @@ class Diagnosis:
         data = {
             k: getattr(self, k)
             for k in self.__dataclass_fields__
-            if k not in ("model", "values", "verdict", "next_script", "fit")
+            if k not in ("model", "values", "verdict", "next_script", "errors", "left", "fit")
         }
         head = {"format": "diagnosis/1", "verdict": self.verdict.name, "terms": list(self.model.terms)}
         return cast(DiagnosisData, head | _plain(data))

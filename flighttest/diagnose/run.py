@@ -198,6 +198,8 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
         noise_floor=merged(a.floors for a in answers),
         baselines=merged(a.baselines for a in answers),
         residual_map=tuple(listed(answers, "cells")),
+        errors=tuple(listed(answers, "errors")),
+        left=tuple(listed(answers, "left")),
         regimes=tuple(listed(answers, "curves")),
         overlays=tuple(listed(answers, "overlaid")),
         candidates=_candidate_rows(answers, hidden),

@@ -143,6 +143,12 @@ def test_gains_are_compared_at_one_voltage(found, written):
         ("diagnosed: {verdict: [EXPLAINED]}", "expected text"),
         ("diagnosed: {untestable: 7}", "expected a list"),
         ("diagnosed: {smallest_detectable: 0.1}", "expected a block of keys"),
+        ("diagnosed: {left: {roll: 1}}", "expected a list"),
+        ("diagnosed: {left: [{channel: roll_rad}]}", "mean: this key is missing"),
+        (left_row(variance="-1"), "-1 is outside"),
+        (left_row(mean="[0.1, a]"), "expected a number"),
+        (left_row(cell="{amplitude_rad: a}"), "expected a number"),
+        (left_row(channel="[roll_rad]"), "expected text"),
     ],
 )
 def test_nonsense_in_any_block_is_reported_with_its_line(tmp_path, line, words):

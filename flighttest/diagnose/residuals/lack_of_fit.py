@@ -188,7 +188,7 @@ def _pure_error(
         present = [i for i in members if by_segment[i].size]
         if not present:
             continue
-        means, first = _binned([(segments[i], rows.sample[by_segment[i]], raw[by_segment[i]]) for i in present])
+        means, first = binned([(segments[i], rows.sample[by_segment[i]], raw[by_segment[i]]) for i in present])
         seen = np.isfinite(means)
         count = seen.sum(axis=0)
         common = np.where(seen, means, 0.0).sum(axis=0) / np.maximum(count, 1)
@@ -237,7 +237,7 @@ def _pure_error(
     return square / dof, dof, lack / lack_dof, lack_dof, shared, usual
 
 
-def _binned(responses: Sequence[tuple[Segment, IntArray, FloatArray]]) -> tuple[FloatArray, int]:
+def binned(responses: Sequence[tuple[Segment, IntArray, FloatArray]]) -> tuple[FloatArray, int]:
     """Means (m, bins) over `BIN_S` of time since the step of residuals at samples of m responses, NaN where there are none; the first
     bin."""
     which = [np.floor((s.t_s[sample] - s.t_step_s) / BIN_S).astype(int) for s, sample, _ in responses]

@@ -53,15 +53,29 @@ class FlightWindRow(TypedDict):
     declared: str
 
 
+class LeftRow(TypedDict):
+    """The error of one channel in one kind of step of a model's own flights: mean over its responses, in the channel's unit, in bins of
+    0.1 s since the step, the first of which is `first`; variance: of one response about it."""
+
+    channel: str
+    kind: str
+    cell: dict[str, float]
+    responses: int
+    first: int
+    variance: float
+    mean: list[float | None]
+
+
 class DiagnosedBlock(TypedDict, total=False):
-    """What was looked for in a model's own flights beside its terms. smallest_detectable: by term, in the unit of its parameter; winds: of
-    each flight, m/s, which are no property of the vehicle."""
+    """What was looked for in a model's own flights beside its terms. smallest_detectable: by term, in the unit of its parameter; left:
+    where steps were repeated; winds: of each flight, m/s, which are no property of the vehicle."""
 
     verdict: str
     complete: bool
     not_needed: list[str]
     untestable: list[str]
     smallest_detectable: dict[str, float]
+    left: list[LeftRow]
     winds: list[FlightWindRow]
 
 
@@ -278,8 +292,24 @@ def _check_diagnosed(document: YamlDocument, node: Node | None) -> None:
     children_of(document, parts.get("smallest_detectable"))
     for key in ("not_needed", "untestable", "winds"):
         elements_of(document, parts.get(key))
+    for step in elements_of(document, parts.get("left")):
+        _check_left(document, step)
     if "verdict" in parts:
         document.text(parts["verdict"])
+
+
+def _check_left(document: YamlDocument, step: Node) -> None:
+    row = children_of(document, step)
+    require(document, row, LeftRow.__annotations__, step.line, step.path)
+    for key in ("channel", "kind"):
+        if key in row:
+            document.text(row[key])
+    numbers = [*children_of(document, row.get("cell")).values(), *elements_of(document, row.get("mean"))]
+    for number in (n for n in numbers if n.value is not None):
+        document.number(number, -1e9, 1e9)
+    for key, least in (("responses", 1), ("first", -1000), ("variance", 0.0)):
+        if key in row:
+            document.number(row[key], least, 1e9)
 
 
 def elements_of(document: YamlDocument, node: Node | None) -> Sequence[Node]:

@@ -12,6 +12,7 @@ from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
 from flighttest.diagnose.free_flight import diagnose_free_flight, is_free_flight
 from flighttest.diagnose.records import DiagnosisData
+from flighttest.diagnose.step_error import rows_of
 from flighttest.documents import write_text
 from flighttest.errors import InputError
 from flighttest.identify.fit import Fit
@@ -199,6 +200,8 @@ def looked_for(found: Diagnosis) -> DiagnosedBlock:
         "untestable": sorted({u.term for u in found.untestable}),
         "smallest_detectable": {k: float(f"{v:.4g}") for k, v in found.smallest_detectable.items()},
     }
+    if left := rows_of(found.left):
+        kept["left"] = left
     if found.winds:
         kept["winds"] = list(found.winds)
     return kept

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from flighttest.diagnose import Diagnosis, Located, Verdict
+from flighttest.diagnose import Diagnosis, Finding, Located, Verdict
 from flighttest.errors import FitError
 from flighttest.estimation.uncertainty.distributions import quantile
 from flighttest.identify.models.model_file import ModelFile
@@ -14,6 +14,7 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import PAPER_TERMS, Model
 from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
 from flighttest.pipeline.results import SILENT, Progress
+from flighttest.pipeline.validity.known_mismatch import KnownMismatch
 from flighttest.recording import Recording
 from flighttest.report.numbers import join, percent
 from flighttest.segments import Segment
@@ -98,13 +99,15 @@ def effects(
 
 
 def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
-    """Effects that a new recording shows and the model does not have; none for a model whose own flights were never diagnosed."""
+    """Effects that a new recording shows and the model does not have; none for a model whose own flights were never diagnosed, nor what
+    those left alike (`as_old`)."""
     if not stored.diagnosed:
         return ()
+    known = KnownMismatch(found, stored)
     smallest = stored.diagnosed.get("smallest_detectable") or {}
     new = []
-    for f in found.findings:
-        if f.term in stored.model.terms or f.term in OF_THE_DAY:
+    for f in _named(found, stored):
+        if known.of_finding(f):
             continue
         level = smallest.get(f.term) if isinstance(smallest, Mapping) else None
         unseen = f.term in (stored.diagnosed.get("untestable") or ())
@@ -116,7 +119,7 @@ def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
             else "the model's own flights showed none"
         )
         new.append(Appeared(f.term, f.title, f"{f.sentence}; {before}", unseen))
-    measured = [place for place in _nameless(found, stored) if place.repeated]
+    measured = [place for place in _nameless(found, stored) if place.repeated and not known.of_place(place)]
     if not new and measured:
         new.append(Appeared("", "something without a name", measured[0].sentence, False))
     return tuple(new)
@@ -125,8 +128,23 @@ def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
 def doubtful(found: Diagnosis, stored: ModelFile) -> str:
     """A mismatch without a name over a floor that no repeated step measures, in a sentence; empty where there is none. Gusts make one, too:
     of eight unchanged vehicles in spot checks flown once, two differed by 2.0 and 2.3 such floors (docs/validity.md)."""
-    places = _nameless(found, stored)
+    known = KnownMismatch(found, stored)
+    places = [place for place in _nameless(found, stored) if not known.of_place(place)]
     return "" if not places or any(place.repeated for place in places) else places[0].sentence
+
+
+def as_old(found: Diagnosis, stored: ModelFile) -> tuple[str, ...]:
+    """What a new recording shows and the model does not have, but its own flights left alike: one sentence each."""
+    if not stored.diagnosed:
+        return ()
+    known = KnownMismatch(found, stored)
+    named = [known.of_finding(f) for f in _named(found, stored)]
+    return tuple(filter(None, [*named, *(known.of_place(place) for place in _nameless(found, stored))]))
+
+
+def _named(found: Diagnosis, stored: ModelFile) -> Sequence[Finding]:
+    """Effects found that the model does not have and that are the vehicle's."""
+    return [f for f in found.findings if f.term not in stored.model.terms and f.term not in OF_THE_DAY]
 
 
 def _nameless(found: Diagnosis, stored: ModelFile) -> Sequence[Located]:

@@ -30,6 +30,7 @@ from flighttest.pipeline.store.lineage import in_use
 from flighttest.pipeline.validity.evidence import (
     NOT_DIAGNOSED,
     appeared,
+    as_old,
     doubtful,
     effects,
     not_seen,
@@ -172,6 +173,7 @@ def gather_evidence(
         cannot_tell=(
             *untested_sentences(missed),
             *found.cannot_tell,
+            *(as_old(sought, stored) if sought is not None else ()),
             *((NOT_DIAGNOSED,) if usable and not stored.diagnosed else ()),
         ),
         untested=missed,

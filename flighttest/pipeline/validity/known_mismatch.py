@@ -1,0 +1,86 @@
+"""A mismatch that a model had in its own flights, alike, is no change of the vehicle.
+
+A diagnosis may leave a fifth of what it found (`EXPLAINED_SHARE`), over a noise floor that repeats measure as finely as they repeat. From
+the model on, a later flight finds that rest again, and has nothing else to find. So what is found is held against what the model's own
+flights left of the same steps, or those most like them, curve from curve: it was there where more than half of it goes with that, and
+less than half stays. Both sides are after a fit to their own flights, so that what a parameter takes up is in neither.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from flighttest.channels import CHANNELS
+from flighttest.diagnose import Diagnosis, Finding, Located
+from flighttest.diagnose.model import flown, short
+from flighttest.diagnose.step_error import StepError, between, errors_from
+from flighttest.identify.models.model_file import ModelFile
+
+UNITS = {short(name): channel.unit for name, channel in CHANNELS.items()}
+NEW = 0.5  # of what was found, beside what the model's own flights left: more of it came than was there
+
+
+class KnownMismatch:
+    """What a model's own flights left, against what a new diagnosis found."""
+
+    def __init__(self, found: Diagnosis, stored: ModelFile) -> None:
+        """found: from this model on; stored: a model that keeps what its flights left, else nothing is known."""
+        self.before = errors_from((stored.diagnosed or {}).get("left"))
+        self.now = found.errors if self.before else ()
+        self.floors = found.noise_floor if self.before else {}
+
+    def of_place(self, place: Located) -> str:
+        """That a mismatch without a name was there before, in a sentence; empty where it came, or nothing is known of it."""
+        apart, now = self._apart(place.channel, place.kind)
+        size = place.rmse**2 - place.floor**2
+        return (
+            "" if _came(apart, now, size) else _alike("something without a name", place.channel, place.kind, apart, now)
+        )
+
+    def of_finding(self, finding: Finding) -> str:
+        """The same of a mismatch that has a name now."""
+        channel, kind = finding.evidence["where"]["channel"], finding.evidence["where"]["kind"]
+        if channel not in self.floors:
+            return ""
+        apart, now = self._apart(channel, kind)
+        size = (finding.evidence["floors"] * self.floors[channel]["value"]) ** 2
+        return "" if _came(apart, now, size) else _alike(finding.term, channel, kind, apart, now)
+
+    def _apart(self, channel: str, kind: str) -> tuple[float, float]:
+        """(mean square of what such steps are missed by beside what the model's own flights left, with it), in the channel's unit squared;
+        NaN where these flew no such step twice."""
+        apart, now = [], []
+        steps = [e for e in self.now if (short(e.channel), e.kind) == (channel, kind)]
+        for step in steps:
+            known = nearest(self.before, step)
+            if known is None:
+                return math.nan, math.nan
+            apart.append(step.responses * between(step, known))
+            now.append(step.responses * step.power)
+        count = sum(e.responses for e in steps)
+        return (sum(apart) / count, sum(now) / count) if count else (math.nan, math.nan)
+
+
+def nearest(errors: Sequence[StepError], step: StepError) -> StepError | None:
+    """The same channel's error in the step most like this one; None where there is none of its kind."""
+    same = [e for e in errors if (e.channel, e.kind) == (step.channel, step.kind) and set(e.cell) == set(step.cell)]
+    return min(same, key=lambda e: math.dist([e.cell[k] for k in step.cell], list(step.cell.values())), default=None)
+
+
+def _came(apart: float, now: float, size: float) -> bool:
+    """Whether what was found is not what was there. now, apart: mean squares with and without what was there; size: of what was found.
+
+    It was there where more of it than `NEW` goes with that, and no more than `NEW` stays: what only repeats differ by never goes, and an
+    effect that came beside an old mismatch stays. NaN, where nothing is known: it came.
+    """
+    return not (now - apart > NEW * size and apart <= NEW * size)
+
+
+def _alike(what: str, channel: str, kind: str, apart: float, now: float) -> str:
+    unit = UNITS[channel]
+    return (
+        f"whether {what} came: in {channel} of {flown(kind)} the model's own flights were missed alike, but for "
+        f"{math.sqrt(max(apart, 0.0)):.2g} {unit} of {math.sqrt(max(now, 0.0)):.2g}, so that it may be as old as they are; `flighttest "
+        "diagnose` of both together describes it"
+    )
