@@ -1,6 +1,7 @@
 """A mismatch that a model had in its own flights, alike, is no change of the vehicle; one that came is, beside it, too."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,14 @@ from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.model import Model
 from flighttest.pipeline.diagnosis.diagnose import looked_for
 from flighttest.pipeline.validity.evidence import appeared, as_old, doubtful
-from flighttest.pipeline.validity.known_mismatch import nearest
+from flighttest.pipeline.validity.known_mismatch import KnownMismatch, nearest
 
 NOTHING = ()  # a catalogue that names nothing
+
+
+NOT_LOOKED_FOR = {
+    "verdict": Verdict.EXPLAINED, "complete": True, "not_needed": (), "untestable": (), "smallest_detectable": {}, "winds": (),
+}  # fmt: skip
 
 
 def tilts(seed, only=NOTHING, **hidden):
@@ -84,6 +90,24 @@ def error(mean, responses=3, variance=0.0, first=0, amplitude=0.3):
     return StepError(
         "pitch_rad", "pitch_step", {"amplitude_rad": amplitude}, responses, first, np.array(mean), variance
     )
+
+
+@pytest.mark.parametrize(
+    ("before", "beside", "old"),
+    [(1.0, 0.0, True), (0.6, 0.0, True), (0.4, 0.0, False), (9.0, 0.4, True), (9.0, 0.6, False), (0.0, 1.0, False)],
+)
+def test_most_of_what_was_found_was_there_and_less_than_half_is_beside_it(before, beside, old):
+    """Mean squares in those of what was found: of what was there, and of what came."""
+    phase = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    there, new = np.sqrt(2.0 * before) * np.sin(phase), np.sqrt(2.0 * beside) * np.cos(phase)
+    kept = accepted(SimpleNamespace(**NOT_LOOKED_FOR, left=[error(there + 1e-6)]))
+    where = {"floors": 0.5, "where": {"channel": "pitch", "kind": "pitch_step"}}
+    named = SimpleNamespace(term="rate_limit", title="Rate limit", sentence="it is there", evidence=where)
+    place = SimpleNamespace(channel="pitch", kind="pitch_step", rmse=np.sqrt(5.0), floor=2.0)
+    found = SimpleNamespace(errors=[error(there + new)], noise_floor={"pitch": {"value": 2.0}}, findings=[named])
+    known = KnownMismatch(found, kept)
+    assert bool(known.of_finding(named)) is old
+    assert bool(known.of_place(place)) is old
 
 
 def test_what_single_responses_differ_by_is_no_difference_of_steps(rng):

@@ -99,6 +99,13 @@ def test_gains_are_compared_at_one_voltage(found, written):
     assert not row.differs
 
 
+def left_row(**changed):
+    """A line on what a model's own flights left, with something wrong in it."""
+    row = {"channel": "roll_rad", "kind": "roll_step", "cell": "{amplitude_rad: 0.3}", "responses": "2", "first": "0"}
+    words = {**row, "variance": "0.1", "mean": "[0.1, null]", **changed}
+    return f"diagnosed: {{left: [{{{', '.join(f'{k}: {v}' for k, v in words.items())}}}]}}"
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [

@@ -27,11 +27,12 @@ class KnownMismatch:
     def __init__(self, found: Diagnosis, stored: ModelFile) -> None:
         """found: from this model on; stored: a model that keeps what its flights left, else nothing is known."""
         self.before = errors_from((stored.diagnosed or {}).get("left"))
-        self.now = found.errors if self.before else ()
-        self.floors = found.noise_floor if self.before else {}
+        self.found = found
 
     def of_place(self, place: Located) -> str:
         """That a mismatch without a name was there before, in a sentence; empty where it came, or nothing is known of it."""
+        if not self.before:
+            return ""
         apart, now = self._apart(place.channel, place.kind)
         size = place.rmse**2 - place.floor**2
         return (
@@ -40,18 +41,20 @@ class KnownMismatch:
 
     def of_finding(self, finding: Finding) -> str:
         """The same of a mismatch that has a name now."""
+        if not self.before:
+            return ""
         channel, kind = finding.evidence["where"]["channel"], finding.evidence["where"]["kind"]
-        if channel not in self.floors:
+        if channel not in self.found.noise_floor:
             return ""
         apart, now = self._apart(channel, kind)
-        size = (finding.evidence["floors"] * self.floors[channel]["value"]) ** 2
+        size = (finding.evidence["floors"] * self.found.noise_floor[channel]["value"]) ** 2
         return "" if _came(apart, now, size) else _alike(finding.term, channel, kind, apart, now)
 
     def _apart(self, channel: str, kind: str) -> tuple[float, float]:
         """(mean square of what such steps are missed by beside what the model's own flights left, with it), in the channel's unit squared;
         NaN where these flew no such step twice."""
         apart, now = [], []
-        steps = [e for e in self.now if (short(e.channel), e.kind) == (channel, kind)]
+        steps = [e for e in self.found.errors if (short(e.channel), e.kind) == (channel, kind)]
         for step in steps:
             known = nearest(self.before, step)
             if known is None:
