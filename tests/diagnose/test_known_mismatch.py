@@ -86,6 +86,16 @@ def test_an_effect_that_came_beside_what_was_there_is_a_change(own):
     assert [a.term for a in appeared(found, accepted(own))] == ["velocity_latency"]
 
 
+def test_a_name_for_what_was_there_names_nothing_that_stays_beside_it(own):
+    """A payload that nothing was offered for, beside a rate limit that was there."""
+    found = tilts(8, only=("rate_limit",), rate_limit=4.0, payload=(0.3, 1.0))
+    assert found.accepted == ("rate_limit",)
+    assert found.verdict is Verdict.PARTLY
+    (new,) = appeared(found, accepted(own))
+    assert new.term == ""
+    assert new.sentence.startswith(("Velocity", "Specific force"))
+
+
 def error(mean, responses=3, variance=0.0, first=0, amplitude=0.3):
     return StepError(
         "pitch_rad", "pitch_step", {"amplitude_rad": amplitude}, responses, first, np.array(mean), variance

@@ -119,7 +119,7 @@ def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
             else "the model's own flights showed none"
         )
         new.append(Appeared(f.term, f.title, f"{f.sentence}; {before}", unseen))
-    measured = [place for place in _nameless(found, stored) if place.repeated and not known.of_place(place)]
+    measured = [place for place in _nameless(found, stored, known) if place.repeated and not known.of_place(place)]
     if not new and measured:
         new.append(Appeared("", "something without a name", measured[0].sentence, False))
     return tuple(new)
@@ -129,7 +129,7 @@ def doubtful(found: Diagnosis, stored: ModelFile) -> str:
     """A mismatch without a name over a floor that no repeated step measures, in a sentence; empty where there is none. Gusts make one, too:
     of eight unchanged vehicles in spot checks flown once, two differed by 2.0 and 2.3 such floors (docs/validity.md)."""
     known = KnownMismatch(found, stored)
-    places = [place for place in _nameless(found, stored) if not known.of_place(place)]
+    places = [place for place in _nameless(found, stored, known) if not known.of_place(place)]
     return "" if not places or any(place.repeated for place in places) else places[0].sentence
 
 
@@ -139,7 +139,7 @@ def as_old(found: Diagnosis, stored: ModelFile) -> tuple[str, ...]:
         return ()
     known = KnownMismatch(found, stored)
     named = [known.of_finding(f) for f in _named(found, stored)]
-    return tuple(filter(None, [*named, *(known.of_place(place) for place in _nameless(found, stored))]))
+    return tuple(filter(None, [*named, *(known.of_place(place) for place in _nameless(found, stored, known))]))
 
 
 def _named(found: Diagnosis, stored: ModelFile) -> Sequence[Finding]:
@@ -147,10 +147,12 @@ def _named(found: Diagnosis, stored: ModelFile) -> Sequence[Finding]:
     return [f for f in found.findings if f.term not in stored.model.terms and f.term not in OF_THE_DAY]
 
 
-def _nameless(found: Diagnosis, stored: ModelFile) -> Sequence[Located]:
-    """Where a recording differs from a model whose own flights left nothing unexplained, if it has no name."""
+def _nameless(found: Diagnosis, stored: ModelFile, known: KnownMismatch) -> Sequence[Located]:
+    """Where a recording differs from a model whose own flights left nothing unexplained, if it has no name; a name for what was there
+    before names nothing that stays beside it."""
     sound = (stored.diagnosed or {}).get("verdict") in SOUND
-    return found.located if sound and found.verdict is Verdict.UNKNOWN_PHYSICS else ()
+    as_before = found.verdict is Verdict.PARTLY and all(known.of_finding(f) for f in found.findings)
+    return found.located if sound and (found.verdict is Verdict.UNKNOWN_PHYSICS or as_before) else ()
 
 
 def not_seen(found: Diagnosis, stored: ModelFile) -> tuple[NotSeen, ...]:
