@@ -14,7 +14,7 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import PAPER_TERMS, Model
 from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
 from flighttest.pipeline.results import SILENT, Progress
-from flighttest.pipeline.validity.known_mismatch import KnownMismatch
+from flighttest.pipeline.validity.known_mismatch import KnownMismatch, as_old_as_the_model
 from flighttest.recording import Recording
 from flighttest.report.numbers import join, percent
 from flighttest.segments import Segment
@@ -24,6 +24,7 @@ from flighttest.vehicle.model import Vehicle
 
 # Conditions of a day, not of a vehicle: the wind, and what an accelerometer is off by each time it is switched on.
 OF_THE_DAY = ("steady_wind", "accelerometer_bias")
+NAMELESS = "something without a name"
 SOUND = (Verdict.NOTHING_MISSING.name, Verdict.EXPLAINED.name)
 NOT_DIAGNOSED = "effects that the model does not have: it was never diagnosed, so that they may be as old as it is (`flighttest diagnose`)"
 
@@ -121,7 +122,7 @@ def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
         new.append(Appeared(f.term, f.title, f"{f.sentence}; {before}", unseen))
     measured = [place for place in _nameless(found, stored, known) if place.repeated and not known.of_place(place)]
     if not new and measured:
-        new.append(Appeared("", "something without a name", measured[0].sentence, False))
+        new.append(Appeared("", NAMELESS, measured[0].sentence, False))
     return tuple(new)
 
 
@@ -134,12 +135,15 @@ def doubtful(found: Diagnosis, stored: ModelFile) -> str:
 
 
 def as_old(found: Diagnosis, stored: ModelFile) -> tuple[str, ...]:
-    """What a new recording shows and the model does not have, but its own flights left alike: one sentence each."""
+    """What a new recording shows and the model does not have, but its own flights left alike: one sentence for each
+    name, and one for what has none."""
     if not stored.diagnosed:
         return ()
     known = KnownMismatch(found, stored)
-    named = [known.of_finding(f) for f in _named(found, stored)]
-    return tuple(filter(None, [*named, *(known.of_place(place) for place in _nameless(found, stored, known))]))
+    named = [(f.term, known.of_finding(f)) for f in _named(found, stored)]
+    said = [as_old_as_the_model(term, [where]) for term, where in named if where]
+    others = {known.of_place(place) for place in _nameless(found, stored, known)} - {"", *(where for _, where in named)}
+    return (*said, *([as_old_as_the_model(NAMELESS, sorted(others))] if others else ()))
 
 
 def _named(found: Diagnosis, stored: ModelFile) -> Sequence[Finding]:

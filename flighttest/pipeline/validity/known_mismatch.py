@@ -16,6 +16,7 @@ from flighttest.diagnose import Diagnosis, Finding, Located
 from flighttest.diagnose.model import flown, short
 from flighttest.diagnose.step_error import StepError, between, errors_from
 from flighttest.identify.models.model_file import ModelFile
+from flighttest.report.numbers import join
 
 UNITS = {short(name): channel.unit for name, channel in CHANNELS.items()}
 NEW = 0.5  # of what was found, beside what the model's own flights left: more of it came than was there
@@ -30,14 +31,12 @@ class KnownMismatch:
         self.found = found
 
     def of_place(self, place: Located) -> str:
-        """That a mismatch without a name was there before, in a sentence; empty where it came, or nothing is known of it."""
+        """Where a mismatch without a name was there before, in words; empty where it came, or nothing is known of it."""
         if not self.before:
             return ""
         apart, now = self._apart(place.channel, place.kind)
         size = place.rmse**2 - place.floor**2
-        return (
-            "" if _came(apart, now, size) else _alike("something without a name", place.channel, place.kind, apart, now)
-        )
+        return "" if _came(apart, now, size) else _alike(place.channel, place.kind, apart, now)
 
     def of_finding(self, finding: Finding) -> str:
         """The same of a mismatch that has a name now."""
@@ -48,7 +47,7 @@ class KnownMismatch:
             return ""
         apart, now = self._apart(channel, kind)
         size = (finding.evidence["floors"] * self.found.noise_floor[channel]["value"]) ** 2
-        return "" if _came(apart, now, size) else _alike(finding.term, channel, kind, apart, now)
+        return "" if _came(apart, now, size) else _alike(channel, kind, apart, now)
 
     def _apart(self, channel: str, kind: str) -> tuple[float, float]:
         """(mean square of what such steps are missed by beside what the model's own flights left, with it), in the channel's unit squared;
@@ -80,10 +79,14 @@ def _came(apart: float, now: float, size: float) -> bool:
     return not (now - apart > NEW * size and apart <= NEW * size)
 
 
-def _alike(what: str, channel: str, kind: str, apart: float, now: float) -> str:
-    unit = UNITS[channel]
+def _alike(channel: str, kind: str, apart: float, now: float) -> str:
+    left, unit = math.sqrt(max(apart, 0.0)), UNITS[channel]
+    return f"{channel} of {flown(kind)} ({left:.2g} of {math.sqrt(now):.2g} {unit} is beside that)"
+
+
+def as_old_as_the_model(what: str, places: Sequence[str]) -> str:
+    """A sentence on what was there before. places: in the words of `KnownMismatch`."""
     return (
-        f"whether {what} came: in {channel} of {flown(kind)} the model's own flights were missed alike, but for "
-        f"{math.sqrt(max(apart, 0.0)):.2g} {unit} of {math.sqrt(max(now, 0.0)):.2g}, so that it may be as old as they are; `flighttest "
-        "diagnose` of both together describes it"
+        f"whether {what} came: the model's own flights were missed alike in {join(list(places))}, so that it may be as old as they are; "
+        "`flighttest diagnose` of both together describes it"
     )
