@@ -77,7 +77,7 @@ def errors_from(rows: object) -> tuple[StepError, ...]:
 
 
 def _error(row: Mapping[str, Any]) -> StepError:
-    mean = np.array([math.nan if v is None else float(v) for v in row["mean"]])
-    cell = {str(k): float(v) for k, v in row["cell"].items()}
+    mean = np.array([math.nan if v is None else float(v) for v in row["mean"] or ()])
+    cell = {str(k): float(v) for k, v in (row["cell"] or {}).items()}
     count, first, variance = int(row["responses"]), int(row["first"]), float(row["variance"])
     return StepError(str(row["channel"]), str(row["kind"]), cell, count, first, mean, variance)

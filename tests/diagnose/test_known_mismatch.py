@@ -155,6 +155,8 @@ def test_what_a_model_file_keeps_is_what_was_left():
     )
     assert kept.mean == pytest.approx(shared.mean, nan_ok=True)
     assert kept.variance == shared.variance
+    (empty,) = errors_from([{**rows_of(left)[0], "mean": None, "cell": None}])
+    assert np.isnan(between(shared, empty)), "a model file edited by hand"
 
 
 def test_a_step_is_held_against_the_one_most_like_it():

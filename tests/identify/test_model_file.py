@@ -155,6 +155,7 @@ def left_row(**changed):
         (left_row(variance="-1"), "-1 is outside"),
         (left_row(mean="[0.1, a]"), "expected a number"),
         (left_row(cell="{amplitude_rad: a}"), "expected a number"),
+        (left_row(cell="{amplitude_rad: null}"), "expected a number"),
         (left_row(channel="[roll_rad]"), "expected text"),
     ],
 )

@@ -304,8 +304,8 @@ def _check_left(document: YamlDocument, step: Node) -> None:
     for key in ("channel", "kind"):
         if key in row:
             document.text(row[key])
-    numbers = [*children_of(document, row.get("cell")).values(), *elements_of(document, row.get("mean"))]
-    for number in (n for n in numbers if n.value is not None):
+    known = [n for n in elements_of(document, row.get("mean")) if n.value is not None]
+    for number in (*children_of(document, row.get("cell")).values(), *known):
         document.number(number, -1e9, 1e9)
     for key, least in (("responses", 1), ("first", -1000), ("variance", 0.0)):
         if key in row:
