@@ -109,16 +109,16 @@ def winds_of(
     heading the axes of the body are tested apart, and only those whose drag is distinguished from none.
     """
     made = []
-    dragged = np.array([_drag_is_seen(found, axis) for axis in "xy"])
     for flight in found.flights:
         at = [found.names.index(f"{n}@{flight}") for n in WIND]
         w = np.array([found.values[found.names[i]] for i in at])
         covariance = found.covariance[np.ix_(at, at)]
         std = np.sqrt(np.diag(covariance))
-        yaw = headings.get(flight)
-        to_body = (
-            np.eye(2) if yaw is None else np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])[dragged]
-        )
+        to_body, yaw = np.eye(2), headings.get(flight)
+        if yaw is not None:
+            to_body = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+            speeds = np.abs(to_body @ w).tolist()
+            to_body = to_body[[_drag_is_seen(found, axis, speed) for axis, speed in zip("xy", speeds, strict=True)]]
         along, known = to_body @ w, to_body @ covariance @ to_body.T
         chi2 = float(along @ np.linalg.pinv(known) @ along) if np.isfinite(std).all() else 0.0
         calm = WindVerdict.STILL if flight in declared else WindVerdict.NONE_SEEN
@@ -129,10 +129,10 @@ def winds_of(
     return made
 
 
-def _drag_is_seen(found: FreeFlight, axis: str) -> bool:
-    """Whether the drag along an axis of the body, at hover thrust, is above none at the level at which winds are tested; what is not
-    estimated is known."""
-    slope = {f"d_{axis}": 1.0, "c_h": G_M_S2, f"k_{axis}": 1.0}
+def _drag_is_seen(found: FreeFlight, axis: str, speed_m_s: float) -> bool:
+    """Whether the drag along an axis of the body is above none at the level at which winds are tested: per velocity, at hover thrust and
+    at a speed through the air, d + c_H g + k |v|."""
+    slope = {f"d_{axis}": 1.0, "c_h": G_M_S2, f"k_{axis}": speed_m_s}
     at = {found.names.index(n): weight for n, weight in slope.items() if n in found.names}
     weights, own = np.array(list(at.values())), list(at)
     drag = float(sum(found.values[found.names[i]] * weight for i, weight in at.items()))

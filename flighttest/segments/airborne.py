@@ -118,10 +118,10 @@ def _too_little(recording: Recording, t: FloatArray, throttle: FloatArray) -> fl
     """Throttle with which nothing flies: an idle one, and where the specific force shows that something else carries the vehicle then, half
     of that which mostly does."""
     at, force = _known_force(recording)
-    driven = (
-        (np.abs(np.interp(t, at, force) - _weight(recording)) < _RESTS_M_S2) & (throttle > _IDLE) if at.size else None
-    )
-    return max(_IDLE, _CARRIED * float(np.median(throttle[driven]))) if driven is not None and driven.any() else _IDLE
+    if not at.size:
+        return _IDLE
+    carried = (np.abs(np.interp(t, at, force) - _weight(recording)) < _RESTS_M_S2) & (throttle > _IDLE)
+    return max(_IDLE, _CARRIED * float(np.median(throttle[carried]))) if carried.any() else _IDLE
 
 
 def _known_force(recording: Recording) -> tuple[FloatArray, FloatArray]:

@@ -211,6 +211,18 @@ def test_a_wind_is_seen_along_an_axis_whose_drag_is(drag_std, yaw, found):
     assert wind.verdict.value == found
 
 
+@pytest.mark.parametrize(("k_std", "found"), [(0.002, "wind"), (0.02, "none seen")])
+def test_a_quadratic_drag_counts_at_the_speed_of_the_wind(k_std, found):
+    """0.02 1/m is a drag of 0.32 1/s at 16 m/s, whose error is 0.04 beside one of 0.05 of the linear drag, or 0.32."""
+    names = ("d_x", "d_y", "k_y", "w_north@a", "w_west@a")
+    values = dict(zip(names, (0.3, 0.0, 0.02, 0.0, -16.0), strict=True))
+    covariance = np.diag(np.square([0.02, 0.05, k_std, 0.7, 4.0]))
+    flown = estimate(flight(20.0, 1), Model(attitude_loops=False))
+    made = replace(flown, names=names, values=values, covariance=covariance, flights=("a",), blocks=40)
+    (wind,) = winds_of(made, {"a": 0.0})
+    assert wind.verdict.value == found
+
+
 @pytest.mark.parametrize(("swing", "kept"), [(0.1, True), (1.5, False)])
 def test_a_flight_keeps_its_heading_where_it_hardly_turns(swing, kept):
     (segment,) = flight(30.0, 2, run="one")[:1]
