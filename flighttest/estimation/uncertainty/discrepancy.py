@@ -2,10 +2,11 @@
 kind of maneuver share.
 
 Of the whitened residual of repeat r of cell c, r_cr(t) = J_cr(t) d_theta + g_c(t) + e_cr(t), the variance s_g^2 of what repeats have in
-common is known by a one-way analysis of variance of its means over `BIN_S` only within limits: with F = (mean square between
-cells) / (mean square between repeats), each bin of each cell being a group, its upper `LEVEL` confidence limit is
+common is known by a one-way analysis of variance of its means over `BIN_S` only with an error: with F = (mean square between
+cells) / (mean square between repeats), each bin of each cell being a group, v = 1 + r s_g^2 / s_e^2 is distributed as F / F(d_1, d_2). What
+is not known of a variance adds its mean to the variance of the estimates (law of total variance):
 
-    s_g^2 = s_e^2 (F F_LEVEL(d_2, d_1) - 1) / r,      r repeats; d_1, d_2 independent bins of cells, of differences between repeats.
+    s_g^2 = s_e^2 E[max(0, v - 1)] / r,      r repeats; d_1, d_2 independent bins of cells, of differences between repeats.
 
 An equation that errs, errs alike in all cells of a kind, and no scatter between responses or cells shows that (the estimates absorb
 the part of g along J). Counting g once per kind k of n_k samples (variance inflation n / C of docs/diagnosis.md), the estimates have
@@ -13,7 +14,7 @@ the part of g along J). Counting g once per kind k of n_k samples (variance infl
     cov = H^-1 [sum_k s_g^2 n_k J_k' J_k] H^-1
 
 per channel, J with each response's own unknowns profiled out and H the information, their priors included. Where noise is large, that
-limit is wide: no more than `SHARE` of what the model makes the responses do is taken for an error of its equations; more is a lack of
+mean is large: no more than `SHARE` of what the model makes the responses do is taken for an error of its equations; more is a lack of
 fit, which other tests name. Without repeats neighbouring samples take their place, since an error of equations is smooth and noise is
 not: r is 2 and noise that is smooth counts as an error of the equations.
 
@@ -31,15 +32,14 @@ from numpy.typing import NDArray
 from flighttest.estimation.likelihood_weights import LikelihoodWeights, State
 from flighttest.estimation.problem import Noise, Part, Problem, kinds_of, prior_std
 from flighttest.estimation.solver import Solution
-from flighttest.estimation.uncertainty.distributions import fisher_quantile
+from flighttest.estimation.uncertainty.distributions import expected_excess
 from flighttest.estimation.uncertainty.drift import DISTURBANCE_DRIFT
 
 FloatArray = NDArray[np.float64]
 
 BIN_S = 0.1  # residuals are averaged over it before repeats are compared
-LEVEL = 0.95
-# Of the standard deviation of the modelled responses. `python -m benchmarks.intervals`: of 55 hidden parameters of 25 sealed flights 82 %
-# are inside their 95 % intervals at 0, 95 % from 0.01 to 0.2. More than is needed there, for vehicles that obey the equations less.
+# Of the standard deviation of the modelled responses. `python -m benchmarks.intervals`: of 140 known parameters of 22 sealed flights 87 %
+# are inside their 95 % intervals at 0, 97 % from 0.02 to 0.2. More than is needed there, for vehicles that obey the equations less.
 SHARE = 0.05
 FEWEST_DIFFERENCES = 5.0  # degrees of freedom between repeats below which they are not used
 
@@ -55,11 +55,11 @@ def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequenc
     for i, (residual, jacobian) in enumerate(weighing.profiled(at, active)):
         part = problem.parts[i]
         segment = np.array([r.index for r in part.responses])
-        for k, limit in enumerate(_limits(problem, solution, i, residual)):
+        for k, variance in enumerate(_variances(problem, solution, i, residual)):
             for kind in np.unique(kinds[segment]):
                 mine = kinds[segment] == kind
                 columns = jacobian[mine, :, k][part.mask[mine, :, k]]
-                spread += limit * columns.shape[0] * columns.T @ columns
+                spread += variance * columns.shape[0] * columns.T @ columns
     scale = np.sqrt(np.where(np.diag(total) > 0.0, np.diag(total), 1.0))
     inverse = np.linalg.pinv(total / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
     return np.asarray(inverse @ spread @ inverse)
@@ -80,11 +80,11 @@ def _of_drift(
     return found
 
 
-def _limits(problem: Problem, solution: Solution, i: int, residual: FloatArray) -> list[float]:
-    """Upper limits of s_g^2 of the outputs of one part, its whitened residual (m, n, n_outputs) profiled."""
+def _variances(problem: Problem, solution: Solution, i: int, residual: FloatArray) -> list[float]:
+    """s_g^2 of the outputs of one part, its whitened residual (m, n, n_outputs) profiled."""
     part, left = problem.parts[i], solution.evaluations[i].residual
-    limits = (_upper_limit(problem, part, residual[..., k], part.mask[..., k]) for k in range(len(part.outputs)))
-    return [min(limit, SHARE**2 * _moved(part, left, k, solution.noise)) for k, limit in enumerate(limits)]
+    found = (_between_cells(problem, part, residual[..., k], part.mask[..., k]) for k in range(len(part.outputs)))
+    return [min(variance, SHARE**2 * _moved(part, left, k, solution.noise)) for k, variance in enumerate(found)]
 
 
 def _moved(part: Part, residual: FloatArray, k: int, noise: Noise) -> float:
@@ -96,8 +96,8 @@ def _moved(part: Part, residual: FloatArray, k: int, noise: Noise) -> float:
     return float((apart**2).sum() / max(mask.sum(), 1) / noise.channel[part.outputs[k]] ** 2)
 
 
-def _upper_limit(problem: Problem, part: Part, residual: FloatArray, mask: NDArray[np.bool_]) -> float:
-    """Upper limit of s_g^2 of one channel, (m, n) whitened residual and which samples were measured."""
+def _between_cells(problem: Problem, part: Part, residual: FloatArray, mask: NDArray[np.bool_]) -> float:
+    """s_g^2 of one channel, (m, n) whitened residual and which samples were measured."""
     segments = [problem.segments[r.index] for r in part.responses]
     cells = np.unique(problem.cells[[r.index for r in part.responses]], return_inverse=True)[1]
     since = np.zeros(residual.shape)
@@ -124,15 +124,14 @@ def _upper_limit(problem: Problem, part: Part, residual: FloatArray, mask: NDArr
     together = _bins_together(differing, seen & several[cells])
     groups, free = several.sum() / together, (repeats[several] - 1.0).sum() / together
     if free < FEWEST_DIFFERENCES:
-        return _smooth_limit(residual, mask)
-    noise = float((differing**2).sum() / (free * together))
-    ratio = float((repeats[several] * shared[several] ** 2).sum() / (groups * together)) / max(noise, 1e-12)
-    limit = ratio * fisher_quantile(LEVEL, free, groups)
-    return max(0.0, noise * (limit - 1.0) / float(repeats[several].mean()))
+        return _between_neighbours(residual, mask)
+    noise = max(float((differing**2).sum() / (free * together)), 1e-12)
+    ratio = float((repeats[several] * shared[several] ** 2).sum() / (groups * together)) / noise
+    return noise * expected_excess(ratio, groups, free) / float(repeats[several].mean())
 
 
-def _smooth_limit(residual: FloatArray, mask: NDArray[np.bool_]) -> float:
-    """Upper limit of s_g^2 where nothing was repeated, (m, n) whitened residual and which samples were measured: neighbouring samples take
+def _between_neighbours(residual: FloatArray, mask: NDArray[np.bool_]) -> float:
+    """s_g^2 where nothing was repeated, (m, n) whitened residual and which samples were measured: neighbouring samples take
     the place of repeats, since an error of equations is smooth and noise is not. Noise that is smooth counts as such an error."""
     even = residual.shape[1] // 2 * 2
     pairs, measured = (values[:, :even].reshape(len(values), -1, 2) for values in (residual, mask))
@@ -141,10 +140,9 @@ def _smooth_limit(residual: FloatArray, mask: NDArray[np.bool_]) -> float:
     if both.sum() < FEWEST_DIFFERENCES:
         return left
     mean = np.where(both, pairs.mean(axis=2), 0.0)
-    noise = float(((pairs[..., 0] - pairs[..., 1])[both] ** 2).mean() / 2.0)
-    ratio = 2.0 * float((mean**2).sum() / both.sum()) / max(noise, 1e-12)
-    limit = ratio * fisher_quantile(LEVEL, float(both.sum()), both.sum() / _bins_together(mean, both))
-    return min(max(0.0, noise * (limit - 1.0) / 2.0), left)
+    noise = max(float(((pairs[..., 0] - pairs[..., 1])[both] ** 2).mean() / 2.0), 1e-12)
+    ratio = 2.0 * float((mean**2).sum() / both.sum()) / noise
+    return min(noise * expected_excess(ratio, both.sum() / _bins_together(mean, both), float(both.sum())) / 2.0, left)
 
 
 def _bins_together(values: FloatArray, seen: NDArray[np.bool_]) -> float:

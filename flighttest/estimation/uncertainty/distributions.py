@@ -5,6 +5,8 @@ From `scipy.special`, which loads in a fifth of the time of `scipy.stats`.
 
 from __future__ import annotations
 
+import math
+
 from scipy import special
 
 
@@ -41,3 +43,20 @@ def fisher_quantile(p: float, dof_above: float, dof_below: float) -> float:
 def chi2_beyond(value: float, dof: float) -> float:
     """The probability that a chi-squared variable of these degrees of freedom is larger than value."""
     return float(special.chdtrc(dof, value))
+
+
+def expected_excess(ratio: float, dof_above: float, dof_below: float) -> float:
+    """Mean of max(0, v - 1) of a variance ratio v known by an F ratio of these degrees of freedom: v is distributed as ratio over F.
+
+        E = ratio b / (b - 2) P(F[a + 2, b - 2] > c (b - 2) a / (b (a + 2))) - P(F[a, b] > c),     c = 1 / ratio,
+
+    a = dof_below, b = dof_above. Infinite for b of 2 or less, where that distribution has no mean.
+    """
+    a, b = dof_below, dof_above
+    if ratio <= 0.0:
+        return 0.0
+    if b <= 2.0:
+        return math.inf
+    least = 1.0 / ratio
+    mean = ratio * b / (b - 2.0) * fisher_beyond(least * (b - 2.0) * a / (b * (a + 2.0)), a + 2.0, b - 2.0)
+    return max(mean - fisher_beyond(least, a, b), 0.0)
