@@ -270,14 +270,15 @@ def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
     """The final model, fitted to every response; model.yaml, the report and the findings print its values and intervals."""
     if final == asked.model:
         return asked.base
-    start: dict[str, float] = {}
+    start = {n: v for n, v in asked.base.values.items() if n in final.names}
     held: dict[str, float] = {}
     channel, disturbance = dict(asked.base.noise.channel), dict(asked.base.noise.disturbance)
     nuisance = dict(asked.base.start.nuisance)
     for search in searches:
         assert search.now is not None
-        start |= {n: v for n, v in search.now.at.values.items() if n in final.names}
-        held |= {n: start[n] for t in search.named for n in search.held(t)}
+        values = search.now.at.values  # of every parameter: those of other blocks are the base's
+        held |= {n: values[n] for t in search.named for n in search.held(t)}
+        start |= {n: values[n] for n in search.now.names} | held
         channel |= search.now.at.noise.channel
         disturbance |= search.now.at.noise.disturbance
         nuisance |= search.now.at.nuisance
