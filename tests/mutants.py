@@ -34,7 +34,8 @@ CONDITIONS: dict[str, tuple[str, ...]] = {
     "flight/execution/supervisor.py": (*ABORT, *GATE),
 }
 SELECTION = tuple(
-    f"tests/diagnose/test_{part}.py" for part in ("search", "subsets", "comparison", "parts", "discrepancy", "findings")
+    f"tests/diagnose/test_{part}.py"
+    for part in ("search", "subsets", "comparison", "absence", "parts", "discrepancy", "findings")
 )
 CONSTANTS: dict[str, tuple[str, ...]] = {
     "diagnose/selection/search.py": SELECTION,

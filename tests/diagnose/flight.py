@@ -81,7 +81,7 @@ def campaign(repeats: int = 3, throttles: bool = True, tilts: bool = True, yaws:
 def fly(steps: list[Step], seed: int = 0, noise: float = 1.0, pre: float = 0.3, **hidden) -> list[Segment]:
     """Segments of the steps. hidden: wind=(n,w,u), bias=(x,y,z), ground=R2, quadratic=k, lift=k, boost=b, sag=(V,s), offset=(r,p),
     asymmetry=ln, gust=(responses, m/s^2), rate_limit=rad/s, rotor_lag=1, latency=s, payload=(ratio, length), fade=(depth, s), curve=c,
-    hubs=(m_u, l_v, m_w, 1/s of integrators), strange=gain (no catalogue entry)."""
+    hubs=(m_u, l_v, m_w, 1/s of integrators), integral=1/s of the rate loop, strange=gain (no catalogue entry)."""
     rng = np.random.default_rng(seed)
     m = len(steps)
     longest = max(s.duration for s in steps) + pre
@@ -121,7 +121,7 @@ def fly(steps: list[Step], seed: int = 0, noise: float = 1.0, pre: float = 0.3, 
     d = np.array(p["d"])
     wind = np.array(hidden.get("wind", (0.0, 0.0, 0.0)))
     keep = {k: [] for k in ("t", "ang", "yaw", "r", "rate", "f", "v", "p", "v_dot", "u")}
-    v_dot, trimmed = np.zeros((m, 3)), np.zeros((m, 2))
+    v_dot, trimmed, integral = np.zeros((m, 3)), np.zeros((m, 2)), np.zeros((m, 2))
     for i in range(n):
         t = i * DT - pre
         on = t >= p["T_d"]
@@ -194,6 +194,8 @@ def fly(steps: list[Step], seed: int = 0, noise: float = 1.0, pre: float = 0.3, 
         wanted = w / (2 * zeta) * (ref - ang)
         limit = hidden.get("rate_limit", np.inf)
         acc = 2 * zeta * w * (np.clip(wanted, -limit, limit) - rate)
+        if "integral" in hidden:
+            integral, acc = integral + DT * acc, acc + hidden["integral"] * integral
         if "hubs" in hidden:
             m_u, l_v, m_w, trim = hidden["hubs"]
             moments = np.stack([l_v * air[:, 1], m_w * air[:, 2] - m_u * air[:, 0]], axis=1)

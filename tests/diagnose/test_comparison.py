@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from flight import campaign, fly
 from made_rows import autoregressive, responses, rows_of
 
 from flighttest.diagnose.residuals.lack_of_fit import floor_of
@@ -18,10 +17,8 @@ from flighttest.diagnose.selection.comparison import (
     inadmissible,
     log_evidence,
     log_odds_asked,
-    may_be_absent,
     probability_of,
     standard_errors,
-    undriven,
     visible,
 )
 from flighttest.diagnose.selection.held_out import (
@@ -31,11 +28,9 @@ from flighttest.diagnose.selection.held_out import (
     held_out_falls,
     stratum_gains,
 )
-from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise
 from flighttest.estimation.uncertainty.covariance import Covariance
-from flighttest.identify.selection import able
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 
@@ -343,30 +338,6 @@ def test_what_improves_no_prediction_of_unused_steps_is_not_named():
     assert "worse" in replace(found(), worsened=("f_x_m_s2", "v_x_m_s")).why_not
 
 
-@pytest.mark.parametrize(("gain", "said"), [(-4.0, True), (29.0, True), (32.0, False)])
-@pytest.mark.parametrize("values", [{"fade_depth": 0.01, "fade_tau": 97.0}, {"fade_depth": 0.2, "fade_tau": 120.0}])
-def test_absence_is_excluded_by_the_likelihood_ratio_over_the_inflation_of_the_printed_covariance(gain, said, values):
-    """A fade of 0.010 +- 0.11 was named with 212 nats on a firmware's calm log; the share of a pole of 3400 nats is 1 +- 10, since it and
-    the delay are one direction. chi-squared of two degrees of freedom is 5.99 at 5 %: here five times that, whatever the estimates."""
-    names = ("fade_depth", "fade_tau")
-    of_noise = np.array([[1e-4, 0.05], [0.05, 400.0]])
-    known = Covariance(names, 2.0 * of_noise, of_noise, np.full(2, 1e6), 3.0 * of_noise)
-    estimator = SimpleNamespace(covariance=lambda *_: known)
-    term = catalogue()["thrust_fade"]
-    absent = may_be_absent(
-        term, Fitted(Model((term.id,)), names, Optimum(values, {}, NOISE, 0.0), None), gain, estimator
-    )
-    assert ("may be nothing" in absent) is said
-    assert "nan" not in absent
-
-
-def test_a_term_of_which_nothing_is_determined_may_be_absent():
-    nothing = Covariance((), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
-    term = catalogue()["thrust_fade"]
-    at_bounds = Fitted(Model((term.id,)), (), Optimum({"fade_depth": 0.6, "fade_tau": 15.0}, {}, NOISE, 0.0), None)
-    assert may_be_absent(term, at_bounds, 1e6, SimpleNamespace(covariance=lambda *_: nothing))
-
-
 def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(rng):
     """The sign test of n groups cannot reach 2.5 % below six."""
     rows = rows_of(np.zeros(1000), np.zeros((1000, 0)), 20)
@@ -392,36 +363,3 @@ def test_better_predictions_count_where_a_term_acts(rng):
     for added, shown in ((little, False), (much, True)):
         change = change_by_stratum(replace(rows, residual=rows.residual + added), rows)
         assert [visible(change.get(channel)) for channel in rows.channels] == [shown, False]
-
-
-@pytest.mark.parametrize("hung", [True, False])
-def test_a_load_that_only_swings_before_each_response_is_no_load(hung):
-    """In throttle steps under the real firmware, velocity wandered by 5 mm/s: four initial states per response followed it, and a load of
-    0.10 was named with a probability above 0.999. From rest it explained nothing (-0.4 nats)."""
-    rng = np.random.default_rng(7)
-    if hung:
-        segments = fly(campaign(2, throttles=False, yaws=False), payload=(0.3, 1.0))
-    else:
-        swing = 0.05 * rng.standard_normal((2, 80)), rng.uniform(0.0, 2.0 * np.pi, (2, 80))
-        segments = [
-            replace(s, y=s.y | {
-                c: s.y[c] + swing[0][i][k] * np.sin(2.8 * (s.t_s - s.t_s[0]) + swing[1][i][k])
-                for i, c in enumerate(("v_x_m_s", "v_y_m_s"))
-            })
-            for k, s in enumerate(fly(campaign(1, tilts=False, yaws=False)))
-        ]  # fmt: skip
-    estimator = Estimator(tuple(segments), "translation", able)
-    base, loaded = Model(("linear_drag",)), Model(("linear_drag", "slung_payload"))
-
-    def fit_of(model, values):
-        names = estimator.problem(model).names
-        at = estimator.fit(model, estimator.start(model, values), names)
-        return Fitted(model, names, at, estimator.linearise(model, at, names))
-
-    smaller = fit_of(base, {})
-    larger = fit_of(loaded, smaller.at.values | {"payload_ratio": 0.1, "cable_m": 1.2})
-    groups = np.arange(len(segments)) % 5
-    floor = floor_of(larger.rows, segments, {})
-    assert sum(log_evidence(larger, smaller, estimator, groups, floor).values()) > 10.0
-    said = undriven(catalogue()["slung_payload"], larger, smaller, estimator, groups)
-    assert ("from rest it explains nothing" in said) != hung

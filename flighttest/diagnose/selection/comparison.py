@@ -31,8 +31,6 @@ from flighttest.estimation.estimator import Estimator, finite
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
 from flighttest.estimation.problem import Noise, kinds_of
 from flighttest.estimation.responses import zero_order_hold
-from flighttest.estimation.uncertainty.covariance import interval_factor
-from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 from flighttest.segments import Segment
@@ -141,19 +139,23 @@ def standard_errors(fitted: Fitted, segments: Sequence[Segment]) -> dict[str, fl
     return dict(zip(fitted.names, (np.sqrt(np.maximum(np.diag(inverse), 0.0)) / length).tolist(), strict=True))
 
 
+def rows_in_noise_of(larger: Fitted, smaller: Fitted, estimator: Estimator) -> Linearisation:
+    """Rows of the smaller model, whitened in the noise of the larger."""
+    at = replace(smaller.at, noise=larger.at.noise)
+    known = at.noise == (smaller.noise or smaller.at.noise)
+    return smaller.rows if known else estimator.linearise(smaller.model, at, smaller.names)
+
+
 def cross_validations(
     larger: Fitted, smaller: Fitted, estimator: Estimator, groups: IntArray, floor: NoiseFloor
 ) -> tuple[CrossValidation, CrossValidation]:
     """Of the larger and of the smaller model over groups, in the noise and discrepancy of the larger."""
     weights = weights_of(larger, estimator.segments, floor)
-    at = replace(smaller.at, noise=larger.at.noise)
-    known = at.noise == (smaller.noise or smaller.at.noise)
-    rows = smaller.rows if known else estimator.linearise(smaller.model, at, smaller.names)
 
     def of(fitted: Fitted, rows: Linearisation) -> CrossValidation:
         return CrossValidation(rows, cross_validated(rows, fitted.names, groups, weights(rows), fitted.margins))
 
-    return of(larger, larger.rows), of(smaller, rows)
+    return of(larger, larger.rows), of(smaller, rows_in_noise_of(larger, smaller, estimator))
 
 
 def log_evidence(
@@ -194,7 +196,7 @@ def evidence_of(
     if not intervals:  # of too few groups: the falls themselves
         falls = held_out_falls(without.held_out(groups), fitted.held_out(groups), groups)
         intervals = {name: (fall, fall) for name, fall in falls.items() if name not in aside}
-    found = Evidence(
+    return Evidence(
         term=term.id,
         nats=nats,
         probability=probability_of(nats, candidates),
@@ -207,35 +209,6 @@ def evidence_of(
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0 and visible(change.get(name))),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
     )
-    if found.why_not:
-        return found
-    # Asked last: they take a fit and a covariance.
-    alone = undriven(term, fitted, without, estimator, groups)
-    if alone:
-        return replace(found, nothing=alone)
-    gain = float(before.rows.residual @ before.rows.residual - after.rows.residual @ after.rows.residual)
-    return replace(found, nothing=may_be_absent(term, fitted, gain, estimator))
-
-
-def undriven(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:
-    """Why a term whose states settle may be no part of the vehicle, empty where what moves the vehicle shows it, too.
-
-    States that are free at the start of every response follow whatever wanders slowly in it, the error of an estimator for one. The same
-    equations from rest have only what the flight excites: a term is the vehicle's where these alone are better than none at `PROBABILITY`.
-    """
-    if not any(s.settles for s in term.states):
-        return ""
-    rest = replace(term, states=tuple(replace(s, free=s.free and not s.settles) for s in term.states))
-    model = fitted.model.without_terms(term.id).with_terms(rest)
-    at = estimator.fit(model, estimator.moved(model, fitted.at), fitted.names)
-    from_rest = Fitted(model, fitted.names, at, estimator.linearise(model, at, fitted.names), fitted.inactive)
-    if not from_rest.finite:
-        return ""
-    known = floor_of(from_rest.rows, estimator.segments, RESOLUTION)
-    nats = sum(log_evidence(from_rest, without, estimator, groups, known).values())
-    if nats >= log_odds_asked(1):
-        return ""
-    return f"from rest it explains nothing ({nats:.1f} nats): what it follows was there before each response, and nothing flown moves it"
 
 
 def visible(change: FloatArray | None) -> bool:
@@ -253,35 +226,6 @@ def change_by_stratum(larger: Linearisation, smaller: Linearisation) -> dict[str
         if one.size == other.size:
             found[name] = one - other
     return found
-
-
-def may_be_absent(term: Term, fitted: Fitted, gain: float, estimator: Estimator) -> str:
-    """Why a term may be absent, empty where that is excluded at a level of 5 %: likelihood ratio, adjusted to the covariance that is
-    printed beside the name (Rotnitzky & Jewell 1990). gain: twice the difference of the log likelihoods in one noise, fitted data.
-
-        F = gain / tr(C_model^-1 C),     p, dof degrees of freedom;
-
-    C_model (p, p) of the term's parameters, as if the noise were all; C with what differs between cells, what all cells share, and how
-    controls answered (`Estimator.covariance`); dof the fewest of their intervals. Of one coefficient F is the square of its value over its
-    standard error. Of others that ratio falls again far from the null value, or where a coefficient and a delay are one direction (Hauck &
-    Donner 1977), and means nothing for nonlinear parameters (Davies 1977); the likelihood ratio has neither fault.
-    """
-    known = estimator.covariance(fitted.model, fitted.at, fitted.names)
-    own = [known.names.index(p.name) for p in term.params if p.name in known.names]
-    if not own:
-        return "nothing here determines any of its parameters"
-    scale = np.sqrt(np.diag(known.model)[own])
-    of_noise, whole = (c[np.ix_(own, own)] / np.outer(scale, scale) for c in (known.model, known.whole))
-    inflation = float(np.trace(np.linalg.pinv(of_noise, hermitian=True) @ whole))
-    dof = min(known.of(np.eye(len(known.names))[k])[1] for k in own)
-    p_value = fisher_beyond(max(gain, 0.0) / inflation, len(own), dof)
-    if p_value < LEVEL:
-        return ""
-    words = []
-    for p in (p for p in term.params if p.name in known.names):
-        std, dof = known.of(np.eye(len(known.names))[known.names.index(p.name)])
-        words.append(f"{p.name} is {fitted.at.values[p.name]:.2g} +- {interval_factor(dof) * std:.1g}{_unit(p)}")
-    return f"{', '.join(words)}, which may be nothing (p {p_value:.2g})"
 
 
 def log_odds_asked(candidates: int) -> float:
@@ -311,21 +255,22 @@ def inadmissible(
         at_bound = bound not in ("", p.natural_bound if repeated else "") and value not in (p.nominal, *p.screen)
         # A coefficient whose place shapes may take runs to its bound though data hardly prefer it there.
         if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
-            return f"{p.name} is at its bound, {value:.3g}{_unit(p)}"
+            return f"{p.name} is at its bound, {value:.3g}{unit_suffix(p)}"
         if p.natural_bound == "lower" and not repeated and value - p.lower <= (error := _error(p, fitted, segments)):
-            return f"{p.name} is {value:.3g} +- {error:.1g}{_unit(p)}, which may be its bound, {p.lower:.3g}{_unit(p)}"
+            return f"{p.name} is {value:.3g} +- {error:.1g}{unit_suffix(p)}, which may be its bound, {p.lower:.3g}{unit_suffix(p)}"
         wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0
         # One of several may be there by chance.
         if wrong and (len(coefficients) == 1 or abs(value - null_value(p)) > _by_chance(p, fitted, segments)):
-            return f"{p.name} is {value:.3g}{_unit(p)}, which physics does not allow"
+            return f"{p.name} is {value:.3g}{unit_suffix(p)}, which physics does not allow"
         if p.limits and (most := max((_most(p.limits, values, s) for s in segments), default=0.0)) < value:
-            return f"{p.name} is {value:.3g}{_unit(p)}, and no more than {most:.3g} was flown"
+            return f"{p.name} is {value:.3g}{unit_suffix(p)}, and no more than {most:.3g} was flown"
         if p.limits == "throttle" and value < (half := _median_throttle(segments)):
-            return f"{p.name} is {value:.3g}{_unit(p)}, and half of the flight is above {half:.3g}: no height is held beyond a limit"
+            return f"{p.name} is {value:.3g}{unit_suffix(p)}, and half of the flight is above {half:.3g}: no height is held beyond a limit"
     return ""
 
 
-def _unit(p: Param) -> str:
+def unit_suffix(p: Param) -> str:
+    """The unit behind a value, nothing where it has none."""
     return "" if p.unit == "1" else f" {p.unit}"
 
 

@@ -19,12 +19,12 @@ import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
+from flighttest.diagnose.selection.absence import full_evidence_of
 from flighttest.diagnose.selection.candidates import Candidate, candidates_at, null_value
 from flighttest.diagnose.selection.comparison import (
     LEAST_FLOORS,
     Evidence,
     Fitted,
-    evidence_of,
     log_evidence,
 )
 from flighttest.diagnose.selection.held_out import FEWEST_GROUPS, gains_held_out, groups_moved
@@ -255,7 +255,7 @@ class Search:
             of, evidence = self._found[key]
             if of is fitted and evidence.without is without:
                 return evidence
-        evidence = evidence_of(
+        evidence = full_evidence_of(
             self.terms[term], fitted, without, self.estimator, self.groups, self.floor, len(self.pool)
         )
         self._found[key] = fitted, evidence

@@ -1,0 +1,134 @@
+"""What may be nothing though it predicts better: questions to a term that is needed by every other measure (`comparison`). They are asked
+last, since they take fits and a covariance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
+from flighttest.diagnose.selection.comparison import (
+    LEVEL,
+    Evidence,
+    Fitted,
+    evidence_of,
+    log_evidence,
+    log_odds_asked,
+    rows_in_noise_of,
+    unit_suffix,
+)
+from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.linearisation import IntArray
+from flighttest.estimation.uncertainty.covariance import interval_factor
+from flighttest.estimation.uncertainty.distributions import fisher_beyond
+from flighttest.physics.blocks import VELOCITY
+from flighttest.physics.compose import block_of
+from flighttest.physics.core import Term
+from flighttest.segments import Segment
+
+
+def full_evidence_of(
+    term: Term,
+    fitted: Fitted,
+    without: Fitted,
+    estimator: Estimator,
+    groups: IntArray,
+    floor: NoiseFloor,
+    candidates: int,
+) -> Evidence:
+    """`evidence_of`, and of a term that is needed by it whether it may be nothing all the same."""
+    found = evidence_of(term, fitted, without, estimator, groups, floor, candidates)
+    if found.why_not:
+        return found
+    rival = undriven(term, fitted, without, estimator, groups) or of_the_loop(term, fitted, without, estimator, groups)
+    if rival:
+        return replace(found, nothing=rival)
+    before, after = (rows_in_noise_of(fitted, one, estimator).residual for one in (without, fitted))
+    return replace(found, nothing=may_be_absent(term, fitted, float(before @ before - after @ after), estimator))
+
+
+def undriven(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:
+    """Why a term whose states settle may be no part of the vehicle, empty where what moves the vehicle shows it, too.
+
+    States that are free at the start of every response follow whatever wanders slowly in it, the error of an estimator for one. The same
+    equations from rest have only what the flight excites: a term is the vehicle's where these alone are better than none at `PROBABILITY`.
+    """
+    if not any(s.settles for s in term.states):
+        return ""
+    rest = replace(term, states=tuple(replace(s, free=s.free and not s.settles) for s in term.states))
+    model = fitted.model.without_terms(term.id).with_terms(rest)
+    at = estimator.fit(model, estimator.moved(model, fitted.at), fitted.names)
+    from_rest = Fitted(model, fitted.names, at, estimator.linearise(model, at, fitted.names), fitted.inactive)
+    if not from_rest.finite:
+        return ""
+    known = floor_of(from_rest.rows, estimator.segments, RESOLUTION)
+    nats = sum(log_evidence(from_rest, without, estimator, groups, known).values())
+    if nats >= log_odds_asked(1):
+        return ""
+    return f"from rest it explains nothing ({nats:.1f} nats): what it follows was there before each response, and nothing flown moves it"
+
+
+def of_the_loop(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:
+    """Why moments by the velocity may be dynamics of the attitude loop, empty where the flights tell these apart.
+
+    Tilt makes speed: a loop of higher order than the model's looks like moments by the speed that each response's own attitude has made
+    since it began. These alone, as if every response began at rest, are the rival; the term is the vehicle's where it is better than that
+    at `PROBABILITY`.
+    """
+    if block_of(term) != "attitude" or VELOCITY[0] not in term.needs:
+        return ""
+    made = replace(estimator, segments=tuple(_begun_at_rest(s) for s in estimator.segments), _problems={}, _last=None)
+    at = made.fit(fitted.model, made.moved(fitted.model, fitted.at), fitted.names)
+    rival = Fitted(fitted.model, fitted.names, at, made.linearise(fitted.model, at, fitted.names), fitted.inactive)
+    if not rival.finite:
+        return ""
+    nats, least = (
+        sum(log_evidence(one, without, by, groups, floor_of(one.rows, by.segments, RESOLUTION)).values())
+        for one, by in ((fitted, estimator), (rival, made))
+    )
+    if nats - least >= log_odds_asked(1):
+        return ""
+    return (
+        f"the speed that each response's own attitude made explains as much as the measured speed ({least:.1f} and {nats:.1f} nats): "
+        "an attitude loop of higher order looks like this"
+    )
+
+
+def _begun_at_rest(segment: Segment) -> Segment:
+    """The same response with the horizontal velocity gained since it began in place of the measured one."""
+    y = dict(segment.y)
+    for name in VELOCITY[:2]:
+        if name in y:
+            measured = y[name][np.isfinite(y[name])]
+            y[name] = y[name] - (measured[0] if measured.size else np.nan)
+    return replace(segment, y=y, context=replace(segment.context, trimmed_m_s=(0.0, 0.0, 0.0)))
+
+
+def may_be_absent(term: Term, fitted: Fitted, gain: float, estimator: Estimator) -> str:
+    """Why a term may be absent, empty where that is excluded at a level of 5 %: likelihood ratio, adjusted to the covariance that is
+    printed beside the name (Rotnitzky & Jewell 1990). gain: twice the difference of the log likelihoods in one noise, fitted data.
+
+        F = gain / tr(C_model^-1 C),     p, dof degrees of freedom;
+
+    C_model (p, p) of the term's parameters, as if the noise were all; C with what differs between cells, what all cells share, and how
+    controls answered (`Estimator.covariance`); dof the fewest of their intervals. Of one coefficient F is the square of its value over its
+    standard error. Of others that ratio falls again far from the null value, or where a coefficient and a delay are one direction (Hauck &
+    Donner 1977), and means nothing for nonlinear parameters (Davies 1977); the likelihood ratio has neither fault.
+    """
+    known = estimator.covariance(fitted.model, fitted.at, fitted.names)
+    own = [known.names.index(p.name) for p in term.params if p.name in known.names]
+    if not own:
+        return "nothing here determines any of its parameters"
+    scale = np.sqrt(np.diag(known.model)[own])
+    of_noise, whole = (c[np.ix_(own, own)] / np.outer(scale, scale) for c in (known.model, known.whole))
+    inflation = float(np.trace(np.linalg.pinv(of_noise, hermitian=True) @ whole))
+    dof = min(known.of(np.eye(len(known.names))[k])[1] for k in own)
+    p_value = fisher_beyond(max(gain, 0.0) / inflation, len(own), dof)
+    if p_value < LEVEL:
+        return ""
+    words = []
+    for p in (p for p in term.params if p.name in known.names):
+        std, dof = known.of(np.eye(len(known.names))[known.names.index(p.name)])
+        words.append(f"{p.name} is {fitted.at.values[p.name]:.2g} +- {interval_factor(dof) * std:.1g}{unit_suffix(p)}")
+    return f"{', '.join(words)}, which may be nothing (p {p_value:.2g})"
