@@ -251,6 +251,14 @@ def test_the_papers_one_delay_can_be_held(call, flight_csv):
     assert "T_d_thrust is given too" in " ".join(err.split())
 
 
+def test_a_column_map_that_is_named_is_read_even_where_the_log_needs_none(call, repository, tmp_path):
+    log = repository / "tests" / "data" / "sitl_thrust.tlog.xz"
+    for bad in (tmp_path / "none.yaml", log):
+        code, _, err = call("segment", log, "--columns", bad)
+        assert code in (2, 3)
+        assert bad.name in err
+
+
 def test_a_misspelt_column_is_reported_by_every_command_that_reads_the_table(call, flight_csv, tmp_path):
     names, rows = flight_csv.read_text().split("\n", 1)
     path = tmp_path / "a.csv"

@@ -45,10 +45,10 @@ def open_recording(path: Path, columns: Path | None = None) -> Recording:
     """A run folder or a log of any kind as a Recording. RecordingError: what is wrong with it."""
     if not path.exists():
         raise RecordingError(f"{path}: there is no such run or log", "`flighttest runs` lists the runs on this machine")
+    if columns is not None:
+        load_columns(columns)  # what needs none is read without, but one that is named must be sound
     if not path.is_dir():
         return read_log(path, columns)
-    if columns is not None:
-        load_columns(columns)  # a run needs none, but one that is named must be sound
     manifest = read_manifest(path)
     raw = path / RAW_NAME
     if not any((path / CHANNELS_DIR).glob("*.parquet")) and raw.exists():
