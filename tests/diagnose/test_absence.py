@@ -8,7 +8,7 @@ import pytest
 from flight import campaign, fly
 
 from flighttest.diagnose.residuals.lack_of_fit import floor_of
-from flighttest.diagnose.selection.absence import may_be_absent, of_the_loop, undriven
+from flighttest.diagnose.selection.absence import may_be_absent, undriven
 from flighttest.diagnose.selection.comparison import Fitted, log_evidence
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Optimum
@@ -19,19 +19,6 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 
 NOISE = Noise({}, {})
-
-
-def two_models(segments, block, base, term, start):
-    """An estimator, and the models with and without a term at their optima."""
-    estimator = Estimator(tuple(segments), block, able)
-
-    def fit_of(model, values):
-        names = estimator.problem(model).names
-        at = estimator.fit(model, estimator.start(model, values), names)
-        return Fitted(model, names, at, estimator.linearise(model, at, names))
-
-    smaller = fit_of(Model(base), {})
-    return estimator, fit_of(Model((*base, term)), smaller.at.values | start), smaller
 
 
 @pytest.mark.parametrize(("gain", "said"), [(-4.0, True), (29.0, True), (32.0, False)])
@@ -74,30 +61,18 @@ def test_a_load_that_only_swings_before_each_response_is_no_load(hung):
             })
             for k, s in enumerate(fly(campaign(1, tilts=False, yaws=False)))
         ]  # fmt: skip
-    estimator, larger, smaller = two_models(
-        segments, "translation", ("linear_drag",), "slung_payload", {"payload_ratio": 0.1, "cable_m": 1.2}
-    )
+    estimator = Estimator(tuple(segments), "translation", able)
+    base, loaded = Model(("linear_drag",)), Model(("linear_drag", "slung_payload"))
+
+    def fit_of(model, values):
+        names = estimator.problem(model).names
+        at = estimator.fit(model, estimator.start(model, values), names)
+        return Fitted(model, names, at, estimator.linearise(model, at, names))
+
+    smaller = fit_of(base, {})
+    larger = fit_of(loaded, smaller.at.values | {"payload_ratio": 0.1, "cable_m": 1.2})
     groups = np.arange(len(segments)) % 5
     floor = floor_of(larger.rows, segments, {})
     assert sum(log_evidence(larger, smaller, estimator, groups, floor).values()) > 10.0
     said = undriven(catalogue()["slung_payload"], larger, smaller, estimator, groups)
     assert ("from rest it explains nothing" in said) != hung
-
-
-@pytest.mark.parametrize("moments", [True, False])
-def test_moments_that_the_own_attitude_of_each_response_explains_are_dynamics_of_the_loop(moments):
-    """Under the real firmware, without any moment of the air, 4 rad/(s m) were named in three of six flights with 193 to 291 nats: tilt
-    makes speed, and the integral action of its rate loop looks like moments by it. By the speed that each response's own attitude made
-    192.0 of 193.5 nats; of true moments of 1.3 and 0.7 rad/(s m) 2972 and 185 nats less than by the measured speed."""
-    hidden = {"hubs": (2.0, 2.0, 0.0, 1.0)} if moments else {"integral": 1.0}
-    segments = fly(campaign(2, throttles=False, yaws=False), noise=0.2, **hidden)
-    start = {"m_u": 1.0, "l_v": 1.0, "m_w": 0.0, "l_w": 0.0}
-    estimator, larger, smaller = two_models(
-        segments, "roll_pitch", ("linear_drag", "roll_pitch_coupling"), "airflow_moment", start
-    )
-    groups = np.arange(len(segments)) % 5
-    floor = floor_of(larger.rows, segments, {})
-    assert sum(log_evidence(larger, smaller, estimator, groups, floor).values()) > 10.0
-    said = of_the_loop(catalogue()["airflow_moment"], larger, smaller, estimator, groups)
-    assert ("attitude loop of higher order" in said) != moments
-    assert not of_the_loop(catalogue()["rate_limit"], larger, smaller, estimator, groups)

@@ -310,6 +310,16 @@ def test_a_limit_that_nothing_or_nearly_everything_went_beyond_is_none(term, lim
     assert (inadmissible(catalogue()[term], model, [step], 30) == "") is reached
 
 
+@pytest.mark.parametrize(("trim", "refused"), [(0.0, False), (1.33, False), (3.7, True), (5.8, True)])
+def test_moments_that_are_gone_faster_than_an_integrator_trims_them_are_dynamics_of_the_loop(trim, refused):
+    """Under the real firmware, without any moments of the air, they were named in three of six flights (193 to 291 nats, trimmed at 3.7 to
+    5.8 1/s). Integral gains are at most 1.33 times the proportional ones (PX4)."""
+    model = Model(("linear_drag", "airflow_moment"))
+    param = model.param["moment_trim_1_s"]
+    values = {"m_u": 3.0, "l_v": 3.0, "m_w": 0.1, "l_w": 0.1, param.name: min(trim, param.upper)}
+    assert ("bound" in judged("airflow_moment", model, values, repeated=True)) is refused
+
+
 def test_a_time_constant_too_short_to_be_seen_leaves_shaping_what_it_is():
     """With 19,700 nats reference shaping was refused on a part of a firmware's log for 0.02 s, and a rate limit of 276 nats named."""
     model = Model(("linear_drag", "reference_shaping"))

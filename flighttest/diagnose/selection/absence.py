@@ -22,10 +22,7 @@ from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import IntArray
 from flighttest.estimation.uncertainty.covariance import interval_factor
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
-from flighttest.physics.blocks import VELOCITY
-from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
-from flighttest.segments import Segment
 
 
 def full_evidence_of(
@@ -41,9 +38,9 @@ def full_evidence_of(
     found = evidence_of(term, fitted, without, estimator, groups, floor, candidates)
     if found.why_not:
         return found
-    rival = undriven(term, fitted, without, estimator, groups) or of_the_loop(term, fitted, without, estimator, groups)
-    if rival:
-        return replace(found, nothing=rival)
+    alone = undriven(term, fitted, without, estimator, groups)
+    if alone:
+        return replace(found, nothing=alone)
     before, after = (rows_in_noise_of(fitted, one, estimator).residual for one in (without, fitted))
     return replace(found, nothing=may_be_absent(term, fitted, float(before @ before - after @ after), estimator))
 
@@ -67,42 +64,6 @@ def undriven(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, 
     if nats >= log_odds_asked(1):
         return ""
     return f"from rest it explains nothing ({nats:.1f} nats): what it follows was there before each response, and nothing flown moves it"
-
-
-def of_the_loop(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:
-    """Why moments by the velocity may be dynamics of the attitude loop, empty where the flights tell these apart.
-
-    Tilt makes speed: a loop of higher order than the model's looks like moments by the speed that each response's own attitude has made
-    since it began. These alone, as if every response began at rest, are the rival; the term is the vehicle's where it is better than that
-    at `PROBABILITY`.
-    """
-    if block_of(term) != "attitude" or VELOCITY[0] not in term.needs:
-        return ""
-    made = replace(estimator, segments=tuple(_begun_at_rest(s) for s in estimator.segments), _problems={}, _last=None)
-    at = made.fit(fitted.model, made.moved(fitted.model, fitted.at), fitted.names)
-    rival = Fitted(fitted.model, fitted.names, at, made.linearise(fitted.model, at, fitted.names), fitted.inactive)
-    if not rival.finite:
-        return ""
-    nats, least = (
-        sum(log_evidence(one, without, by, groups, floor_of(one.rows, by.segments, RESOLUTION)).values())
-        for one, by in ((fitted, estimator), (rival, made))
-    )
-    if nats - least >= log_odds_asked(1):
-        return ""
-    return (
-        f"the speed that each response's own attitude made explains as much as the measured speed ({least:.1f} and {nats:.1f} nats): "
-        "an attitude loop of higher order looks like this"
-    )
-
-
-def _begun_at_rest(segment: Segment) -> Segment:
-    """The same response with the horizontal velocity gained since it began in place of the measured one."""
-    y = dict(segment.y)
-    for name in VELOCITY[:2]:
-        if name in y:
-            measured = y[name][np.isfinite(y[name])]
-            y[name] = y[name] - (measured[0] if measured.size else np.nan)
-    return replace(segment, y=y, context=replace(segment.context, trimmed_m_s=(0.0, 0.0, 0.0)))
 
 
 def may_be_absent(term: Term, fitted: Fitted, gain: float, estimator: Estimator) -> str:

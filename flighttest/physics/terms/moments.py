@@ -36,8 +36,8 @@ airflow_moment = Term(
         _derivative("m_w", "M_w", "pitch acceleration, nose down, per climb speed", _SKEWED),
         _derivative("l_w", "L_w", "roll acceleration, left side up, per climb speed", _SKEWED),
         Param(
-            "moment_trim_1_s", "k_m", "1/s", 1.0, 0.0, 10.0, 0.5, "rate at which the autopilot's integrators trim a moment; 0: none do",
-            "ArduPilot: I over P of the rate loop, 1", "shape", None, (0.0, 1.0),
+            "moment_trim_1_s", "k_m", "1/s", 1.0, 0.0, 2.0, 0.5, "rate at which the autopilot's integrators trim a moment; 0: none do",
+            "I over P of the rate loop: ArduPilot 1, PX4 1.33; what is gone faster is the loop itself", "shape", None, (0.0, 1.0),
         ),
     ),
     build=_moments,
