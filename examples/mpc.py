@@ -34,7 +34,8 @@ MAX_STEP_S = 0.05  # of the Runge-Kutta steps inside an interval: 25 rad/s loops
 CONTROL_S = 0.02  # 50 Hz
 FLOWN_S = 4.0
 STABLE = 2.0  # step times the model's fastest pole: Runge-Kutta of fourth order diverges above 2.78
-TOLERANCE = 1e-3
+TOLERANCE = 1e-3  # of a departure that matters, and of the cost
+ARMIJO, SHORTEST = 1e-4, 1e-3  # share of the promised fall that a step has to keep; of a full step
 MOST_ITERATIONS = 50
 MOST_INNER = (
     20  # of a quadratic program: what converges takes 3 to 15; more go on at the limit of the numbers' precision
@@ -79,7 +80,7 @@ class Planner:
         self.interval = compiled(self.one_interval(slopes))[0].map(HORIZON)
         self._cost_and_bounds()
         self._program()
-        self.damping, self.gap = 1.0, np.inf
+        self.gap = np.inf
         self.x_plan = np.tile(self.x_hover[:, None], HORIZON + 1)
         self.u_plan = np.tile(self.u_hover[:, None], HORIZON)
 
@@ -149,13 +150,17 @@ class Planner:
         entries = np.array(self.pattern.get_triplet())
         self.row, self.column = entries[0], entries[1]
 
-    def iterate(self, x_now: np.ndarray, target_m: np.ndarray) -> float:
-        """One Gauss-Newton step, shortened by `damping`, towards the plan from x_now (n_x,) to target_m (3,); returns its largest change of
-        a state, in departures that matter. `gap`: how far the plan was from what the model does before it, likewise."""
-        return self.respond(x_now, *self.prepare(target_m))
+    def iterate(self, x_now: np.ndarray, target_m: np.ndarray) -> None:
+        """One full Gauss-Newton step towards the plan from x_now (n_x,) to target_m (3,)."""
+        self.move(*self.respond(x_now, *self.prepare(target_m))[:2])
+
+    def move(self, x_move: np.ndarray, u_move: np.ndarray, share: float = 1.0) -> None:
+        """Change the plan by a share of a step."""
+        self.x_plan, self.u_plan = self.x_plan + share * x_move, self.u_plan + share * u_move
 
     def prepare(self, target_m: np.ndarray) -> tuple[ca.DM, np.ndarray, np.ndarray]:
-        """What an iteration needs that the state is not in: the equations' matrix, their right side, the cost's slope."""
+        """What an iteration needs that the state is not in: the equations' matrix, their right side, the cost's slope. `gap`: how far the
+        plan is from what the model does, in departures that matter."""
         after, a, b = self.linearise(self.x_plan[:, :-1], self.u_plan)
         if not np.isfinite(after).all():
             raise NoPlanError("the model's states are not finite along the plan")
@@ -168,14 +173,27 @@ class Planner:
         gap = (self.x_plan[:, 1:] - after).T.ravel()
         self.gap = float(np.abs(gap.reshape(HORIZON, n_x) / self.size).max())
 
+        return matrix, gap, self.weights * self.off(target_m)
+
+    def off(self, target_m: np.ndarray) -> np.ndarray:
+        """What the plan departs by from hover at the target, in the order of the program's variables."""
         wanted = self.x_hover.copy()
         wanted[[self.states.index(s) for s in ("p_x_m", "p_y_m", "p_z_m")]] = target_m
         stages = np.concatenate([self.x_plan[:, :-1] - wanted[:, None], self.u_plan - self.u_hover[:, None]])
-        off = np.concatenate([stages.T.ravel(), self.x_plan[:, -1] - wanted])
-        return matrix, gap, self.weights * off
+        return np.concatenate([stages.T.ravel(), self.x_plan[:, -1] - wanted])
 
-    def respond(self, x_now: np.ndarray, matrix: ca.DM, gap: np.ndarray, slope: np.ndarray) -> float:
-        """The quadratic program from x_now (n_x,), and the plan that it gives; as `iterate`."""
+    def merit(self, target_m: np.ndarray, price: float) -> float:
+        """Cost of the plan, and at a price what it is off the model: the l1 merit function (Nocedal & Wright 2006, 18.3)."""
+        after = np.asarray(self.interval(self.x_plan[:, :-1], self.u_plan)[0])
+        cost = 0.5 * float(self.weights @ self.off(target_m) ** 2) + price * float(
+            np.abs(self.x_plan[:, 1:] - after).sum()
+        )
+        return cost if np.isfinite(cost) else np.inf
+
+    def respond(
+        self, x_now: np.ndarray, matrix: ca.DM, gap: np.ndarray, slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """The quadratic program from x_now (n_x,): the full step of states and of inputs, and the largest price of an equation."""
         n_x, width = self.n_x, self.n_x + self.n_u
         x_low = np.concatenate(
             [
@@ -192,35 +210,46 @@ class Planner:
             [np.concatenate([x_high[:, :-1], self.u_high[:, None] - self.u_plan]).T.ravel(), x_high[:, -1]]
         )
         solved = self.solver(h=self.hessian, g=slope, a=matrix, lba=gap, uba=gap, lbx=low, ubx=high)
-        move = self.damping * np.asarray(solved["x"]).ravel()
-        if not np.isfinite(
-            move
-        ).all():  # its own limit of iterations may end it before its tolerance: what is left shows in `gap`
+        found = np.asarray(solved["x"]).ravel()
+        if not np.isfinite(found).all():  # its own limit of iterations may end it earlier: what is left shows in `gap`
             raise NoPlanError("the quadratic program has no solution")
-        stages = move[: HORIZON * width].reshape(HORIZON, width).T
-        moves = np.concatenate([stages[:n_x], move[HORIZON * width :, None]], axis=1)
-        self.x_plan, self.u_plan = self.x_plan + moves, self.u_plan + stages[n_x:]
-        return float(np.abs(moves / self.size[:, None]).max())
+        stages = found[: HORIZON * width].reshape(HORIZON, width).T
+        x_move = np.concatenate([stages[:n_x], found[HORIZON * width :, None]], axis=1)
+        return x_move, stages[n_x:], float(np.abs(np.asarray(solved["lam_a"])).max())
 
     def plan(self, x_now: np.ndarray, target_m: np.ndarray) -> int:
-        """Iterate until nothing changes any more; returns the iterations. NoPlanError where that does not happen.
+        """Iterate until the plan is the model's and nothing lowers its cost any more; returns the iterations. NoPlanError where that does
+        not happen.
 
-        A plan along a bend of the model (a limit, a square-root controller) makes full steps go to and fro: they are halved where they do
-        not get smaller.
+        Steps are shortened until they lower the merit function by a share of what its slope promises (Armijo): along a bend of the model
+        (a limit, a square-root controller) full steps go to and fro.
         """
-        before, self.damping = np.inf, 1.0
-        try:
-            for iteration in range(1, MOST_ITERATIONS + 1):
-                moved = self.iterate(x_now, target_m)
-                if moved <= TOLERANCE and self.gap <= TOLERANCE:
-                    return iteration
-                if iteration > 5 and moved > 0.7 * before:
-                    self.damping = max(0.5 * self.damping, 1.0 / 64.0)
-                before = moved
-        finally:
-            self.damping = 1.0
+        price = 0.0
+        self.x_plan[:, 0] = x_now
+        for iteration in range(1, MOST_ITERATIONS + 1):
+            matrix, gap, slope = self.prepare(target_m)
+            x_move, u_move, dual = self.respond(x_now, matrix, gap, slope)
+            price = max(price, 1.5 * dual)
+            stages = np.concatenate([x_move[:, :-1], u_move]).T.ravel()
+            fall = price * float(np.abs(gap).sum()) - float(slope @ np.concatenate([stages, x_move[:, -1]]))
+            before = self.merit(target_m, price)
+            if self.gap <= TOLERANCE and fall <= TOLERANCE * before:
+                return iteration
+            old, share = (self.x_plan, self.u_plan), 1.0
+            self.move(x_move, u_move)
+            while self.merit(target_m, price) > before - ARMIJO * share * fall:
+                share *= 0.5
+                self.x_plan, self.u_plan = old
+                if share < SHORTEST:
+                    if self.gap <= TOLERANCE:
+                        return iteration
+                    raise NoPlanError(
+                        f"no step brings it nearer to the model, and it is {self.gap:.2g} of what matters off it"
+                    )
+                self.move(x_move, u_move, share)
         raise NoPlanError(
-            f"after {MOST_ITERATIONS} iterations it still changes by {moved:.2g} of what matters, and is {self.gap:.2g} off the model"
+            f"after {MOST_ITERATIONS} iterations its cost still falls by {100 * fall / before:.2g} %, and it is {self.gap:.2g} of what "
+            "matters off the model"
         )
 
     def shift(self, share: float = 1.0) -> None:
@@ -335,7 +364,7 @@ def main() -> None:
             began, used = time.perf_counter(), time.process_time()
             prepared = planner.prepare(target)
             measured = time.perf_counter()
-            planner.respond(x, *prepared)
+            planner.move(*planner.respond(x, *prepared)[:2])
         except NoPlanError as error:
             sys.exit(f"no plan {k * CONTROL_S:.2f} s into the flight: {error}")
         whole.append(time.perf_counter() - began)

@@ -55,11 +55,25 @@ def test_a_plan_with_an_improved_model_converges_however_fast_its_lags(found, tm
     assert planner.gap < mpc.TOLERANCE
 
 
+def test_a_plan_along_a_bend_of_the_model_converges(found, tmp_path, mpc):
+    """A square-root controller bends where its error changes sign, and full steps go to and fro there. They were halved and never made
+    longer again: after 50 iterations 0.012 off the model, and so with 3 of 16 models of flights under the firmware."""
+    base = from_fit(found)
+    model = base.model.with_terms("reference_shaping", "steady_wind")
+    shaping = {"shaping_accel": 18.1, "shaping_tc": 0.157, "shaping_ff": 1.0, "w_north": 1.0, "w_west": -1.5}
+    export(replace(base, model=model, values=model.start(base.values) | shaping), "casadi", tmp_path)
+    planner = mpc.Planner(tmp_path)
+    throttle = planner.inputs.index("throttle")
+    planner.u_low[throttle], planner.u_high[throttle] = np.array([0.75, 1.15]) * planner.u_hover[throttle]
+    assert planner.plan(planner.x_hover.copy(), np.array([8.0, -4.0, 2.0])) < mpc.MOST_ITERATIONS
+    assert planner.gap < mpc.TOLERANCE
+
+
 def test_a_plan_that_does_not_converge_is_said_to_be_none(found, tmp_path, mpc, monkeypatch):
     export(from_fit(found), "casadi", tmp_path)
     planner = mpc.Planner(tmp_path)
     monkeypatch.setattr(mpc, "MOST_ITERATIONS", 1)
-    with pytest.raises(mpc.NoPlanError, match="after 1 iterations it still changes by"):
+    with pytest.raises(mpc.NoPlanError, match="after 1 iterations its cost still falls by"):
         planner.plan(planner.x_hover.copy(), np.array([8.0, -4.0, 2.0]))
 
 
