@@ -108,15 +108,12 @@ class ModelPredictor:
     ) -> Trail:
         """The same, each for its own number of steps, (n,), falling."""
         start, yaw, volts = np.atleast_2d(start_m), np.atleast_1d(yaw_rad), np.atleast_1d(voltage_v)
-        states = self._states
-        x = np.zeros((len(states), len(start)))
-        for name, value in self.model.system.initial.items():
-            x[states.index(name)] = value
+        at_rest = self.model.hover(self.values, volts)
+        x = at_rest.states
         x[self._at(_POSITION)] = start.T
-        x[states.index("yaw_rad")] = yaw
-        x[states.index("a_t_m_s2")] = self.model.g_m_s2
+        x[self._states.index("yaw_rad")] = yaw
         hover = np.zeros((4, len(start)))
-        hover[3] = self.hover_throttle(volts)
+        hover[3] = at_rest.throttle
         return self._fly(x, [hover] * self._memory(dt_s), volts, np.zeros(len(start)), policy, steps, dt_s)
 
     def branch(self, trail: Trail, of: IntArray, at: IntArray, policy: Policy, steps: IntArray, dt_s: float) -> Trail:
