@@ -163,6 +163,52 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     assert json.loads(out)["verdict"].startswith("4 responses fitted")
 
 
+def test_a_campaign_that_a_flight_ended_early_is_resumed_with_all_its_scripts(script, tmp_path):
+    """What was printed flew the script that was cut short, and nothing named those after it."""
+    second = script.with_name("second.yaml")
+    second.write_text((SHORT % 1).replace("name: short", "name: second"))
+    request = flying.FlightRequest(scripts=(str(script), str(second)), out=tmp_path / "runs", fit_only=True)
+    first = flying.run(request, StopsIn(2))
+    run = Path(first.data["runs"][0])
+    command = f"flighttest run --resume {run} {script} {second}"
+    (note,) = [n for n in first.data["notes"] if "second was not flown" in n]
+    assert "steps are missing" in note
+    assert f"`{command}` flies what is missing" in note
+    assert first.document.facts["fly next"] == command
+    resumed = replace(request, resume=run)
+    again = flying.run(resumed, StopsIn(10**6))
+    assert again.status is Status.DONE
+    assert len(again.data["runs"]) == 3
+    assert again.data["segments"]["used"] == 4 + 2
+    # The last of them goes on from all before it, and what has been flown is not flown again.
+    last = Path(again.data["runs"][-1])
+    assert resuming.resumed_runs(last) == [Path(r) for r in again.data["runs"]]
+    third = script.with_name("third.yaml")
+    third.write_text((SHORT % 1).replace("name: short", "name: third"))
+    scripts = (str(script), str(second), str(third))
+    more = flying.run(replace(resumed, resume=last, scripts=scripts), StopsIn(10**6))
+    assert more.status is Status.DONE
+    assert len(more.data["runs"]) == 4
+
+
+class StopsIn:
+    """The operator's Ctrl-C in a step of a flight, once."""
+
+    def __init__(self, leg):
+        self.leg = leg
+
+    def stage(self, text):
+        pass
+
+    def part(self, done, of):
+        pass
+
+    def flight(self, progress):
+        if progress.leg >= self.leg:
+            self.leg = 10**6
+            signal.raise_signal(signal.SIGINT)
+
+
 def test_a_flight_that_a_low_battery_ended_exits_1(call, script, tmp_path, monkeypatch):
     sagging = flying.options
 

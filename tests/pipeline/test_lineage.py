@@ -270,6 +270,20 @@ def test_what_a_campaign_found_is_accepted_where_that_was_asked_for(tmp_path):
     assert lineage.in_use(tmp_path, "heron").runs == ("a",)
 
 
+def test_the_improved_model_is_judged_by_its_own_fit(tmp_path):
+    """The base, which lacks what was found, had stopped before it converged, and the command that accepts the model was not printed."""
+    poor, good = (SimpleNamespace(status=SimpleNamespace(good=good)) for good in (False, True))
+
+    def accepting(fit, improved):
+        found = campaign.Analysis((), (), fit, improved=improved)
+        return campaign.how_to_accept(found, Status.DONE, tmp_path, "heron", tmp_path, keep=False)
+
+    assert accepting(poor, good).startswith("flighttest accept")
+    assert accepting(good, poor) == accepting(poor, None) == ""
+    assert campaign._status(campaign.Analysis((), (), poor, improved=good), usable=True) is Status.DONE
+    assert campaign._status(campaign.Analysis((), (), good, improved=poor), usable=True) is Status.UNEXPLAINED
+
+
 def test_the_last_screen_shows_what_was_missing_with_its_interval_and_the_errors_without_and_with_it():
     finding = {
         "term": "ground_effect",

@@ -53,16 +53,23 @@ class Analysis:
     previous: ModelFile | None = None
     improved: Fit | None = None
 
+    @property
+    def own(self) -> Fit | None:
+        """The fit of the campaign's model: with what the diagnosis added, else the base's."""
+        return self.improved or self.fit
+
 
 @dataclass(frozen=True)
 class Landed:
-    """A campaign that was flown. folders: its runs, all in `out`; notes: of the flights; usable: False when one was aborted."""
+    """A campaign that was flown. folders: its runs, all in `out`; notes: of the flights; usable: False when one was aborted; resume: the
+    command that flies what it lacks, '' where that is nothing."""
 
     folders: Sequence[Path]
     out: Path
     vehicle: Vehicle | None = None
     notes: Sequence[str] = ()
     usable: bool = True
+    resume: str = ""
 
 
 def analyse(
@@ -112,10 +119,11 @@ def _changed(found: Analysis) -> bool:
 
 def how_to_accept(found: Analysis, status: Status, folder: Path, name: str, out: Path, keep: bool) -> str:
     """How the campaign's model becomes the vehicle's: done, or the command that does it; '' where it makes none."""
-    if found.fit is None or not found.fit.status.good or not (renewed(found) or found.diagnosis is not None):
+    own = found.own
+    if own is None or not own.status.good or not (renewed(found) or found.diagnosis is not None):
         return ""
     words = f"flighttest accept {shlex.quote(str(folder))}{out_words(out)}"
-    used, own = found.previous, found.improved or found.fit
+    used = found.previous
     if used is not None and not _changed(found) and worse(model_file.from_fit(own), used):
         return f"together with the flights of the model in use, which determines more:\n{joint_fit_command(out, used, folder)}"
     if not name:
@@ -159,7 +167,7 @@ def _analysis(
 
 def renewed(found: Analysis) -> bool:
     """Whether the campaign's own model takes the place of the previous one (a spot check's does not)."""
-    own = found.improved or found.fit
+    own = found.own
     if own is None:
         return False
     return found.previous is None or as_good(model_file.from_fit(own), found.previous)
@@ -168,9 +176,9 @@ def renewed(found: Analysis) -> bool:
 def _status(found: Analysis, usable: bool) -> Status:
     if not usable:
         return Status.UNUSABLE
-    if found.fit is None:
+    if found.own is None:
         return Status.UNUSABLE if not any(s.usable for s in found.segments) else Status.UNEXPLAINED
-    if not found.fit.status.good:
+    if not found.own.status.good:
         return Status.UNEXPLAINED
     if found.validity is not None and found.validity.verdict is ValidityVerdict.STALE and not renewed(found):
         return Status.STALE
@@ -200,7 +208,7 @@ def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
 
 
 def _page(found: Analysis, view: FitView | None, landed: Landed) -> Document:
-    verdict, tone = _verdict(found, view)
+    verdict, tone = _verdict(found, fit_view(found.own, found.segments) if found.own is not None else None)
     extra: list[Section] = []
     if landed.notes:
         extra.append(Section("flight", "Notes of the flight", (Bullets(tuple(landed.notes)),)))
@@ -251,7 +259,10 @@ def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Docume
     ):
         facts["its twin"] = twin_command(Path(found.previous.path), folders)
     facts["report"] = str(folders[-1] / REPORT_NAME)
-    if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
+    if landed.resume:
+        facts["fly next"] = landed.resume
+        facts["what for"] = "What the campaign lacks: what can be known without it is preliminary."
+    elif found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
         reason = found.diagnosis.get("next_reason") or {}
         command = (
             f"flighttest run {shlex.quote(str(folders[-1] / NEXT_NAME))}{words_of(folders[-1])}{out_words(landed.out)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -189,16 +190,20 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     compare("", {})
     folders = list(earlier)
     ends: list[FlightResult] = []
-    for index, plan in enumerate(compiled):
+    before = flown_in(earlier)
+    due = [(k, plan) for k, plan in enumerate(compiled) if not {leg.id for leg in plan.legs} <= before]
+    resume = ""
+    for count, (index, plan) in enumerate(due):
         try:
             behind = left_behind(request.out, plan.vehicle.name)
             folder = new_run(request.out, plan.script.name, datetime.datetime.now())
-            number = f"{index + 1} of {len(compiled)}"
+            number = f"{count + 1} of {len(due)}"
             progress.stage(f"{plan.script.name} ({number}): {len(plan.legs)} steps, recorded in {folder}")
             asked = FlightSettings(
                 left_behind=behind,
                 fence_behind=fence_behind(request.out, plan.vehicle.name),
-                skip=flown_in(earlier),
+                skip=before,
+                resume=folders[-1] if folders else None,
                 replanner=ScriptReplanner(plan, prior),
                 on_vehicle=compare,
             )
@@ -211,16 +216,19 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         ends.append(ended)
         folders.append(ended.run_dir)
         notes += [n for n in ended.notes if n not in notes]
-        notes += _unlike_the_plan(plan, ended, earlier)
-        if ended.outcome is not FlightOutcome.COMPLETED or not ended.left.is_safe:
+        over = ended.outcome is not FlightOutcome.COMPLETED or not ended.left.is_safe
+        lacking = [one.script.name for _, one in due[count + 1 :]] if over else []
+        resume = _resume_command(plan, ended, earlier, [names[k] for k, _ in due[count:]] if lacking else [])
+        notes += _unlike_the_plan(plan, ended, earlier, lacking, resume)
+        if over:
             break
-    usable = len(ends) == len(compiled) and all(e.as_planned and not e.incomplete for e in ends)
+    usable = len(ends) == len(due) and all(e.as_planned and not e.incomplete for e in ends)
     # Each step once, to compare with a model: too little to look for unnamed physics in.
     wanted = not request.fit_only and any(plan.script.name != SPOT_CHECK for plan in compiled)
     if request.fly_only:
         return _flown(compiled, folders, ends, notes, usable)
     try:
-        landed = Landed(folders, request.out, vehicle, notes, usable)
+        landed = Landed(folders, request.out, vehicle, notes, usable, resume)
         found = analyse(landed, previous, diagnose=wanted, keep=request.accept, progress=progress)
     except (FlighttestError, OSError) as error:
         if usable and not isinstance(error, OSError):
@@ -234,17 +242,34 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     return replace(found, document=page)
 
 
-def _unlike_the_plan(plan: Plan, ended: FlightResult, earlier: Sequence[Path]) -> list[str]:
-    """What a flight lacks of its plan, with the command that flies it where that may help. earlier: the runs it goes on with."""
-    notes = [] if ended.as_planned else [f"{plan.script.name}: {ended.sentence}"]
-    missing = len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir]))
+def _missing(plan: Plan, ended: FlightResult, earlier: Sequence[Path]) -> int:
+    """How many steps of a plan no flight has, where another flight may help. earlier: the runs it goes on with."""
     again = ended.outcome is not FlightOutcome.COMPLETED or any(
         leg.outcome in (LegOutcome.NOT_SETTLED, LegOutcome.LINK_LOST) for leg in ended.legs
     )
-    if missing and ended.outcome.orderly and again:
-        notes.append(
-            f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
-        )
+    return len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir])) if again else 0
+
+
+def _resume_command(plan: Plan, ended: FlightResult, earlier: Sequence[Path], scripts: Sequence[str]) -> str:
+    """The command that flies what a campaign lacks, '' where that is nothing, or the flight did not end between two steps. scripts: the
+    words for this script and those after it, where these were not flown."""
+    if not ended.outcome.orderly or not (scripts or _missing(plan, ended, earlier)):
+        return ""
+    return f"flighttest run --resume {shlex.join([str(ended.run_dir), *scripts])}"
+
+
+def _unlike_the_plan(
+    plan: Plan, ended: FlightResult, earlier: Sequence[Path], lacking: Sequence[str], resume: str
+) -> list[str]:
+    """What a flight lacks of its plan, and a campaign of its scripts, with the command that flies it where that may help."""
+    notes = [] if ended.as_planned else [f"{plan.script.name}: {ended.sentence}"]
+    missing = _missing(plan, ended, earlier) if resume else 0
+    parts = [f"{missing} of {len(plan.legs)} steps are missing"] if missing else []
+    if lacking:
+        parts.append(f"{join(list(lacking))} {'was' if len(lacking) == 1 else 'were'} not flown")
+    if parts:
+        flies = f": `{resume}` flies {'what is missing' if lacking else 'them'}" if resume else ""
+        notes.append(f"{', '.join(parts)}{flies}")
     return [*notes, *unflown_steps(ended)]
 
 
@@ -319,7 +344,6 @@ def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightSettings
             set_params=request.set_params,
             waive=request.waive,
             extend_fence=request.extend_fence,
-            resume=request.resume,
             on_progress=progress.flight,
             on_stage=progress.stage,
             stop_requested=stops,
