@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -21,7 +22,7 @@ def mass_test(
             continue
         old, old_std = previous[name]
         new, new_std = after[name]
-        if old > 0 and new > 0:
+        if old > 0 and new > 0 and (math.isfinite(old_std or 0.0)):
             changes[name] = change(old, old_std or 0.0, new, new_std)
     if "K" not in changes:
         return {}

@@ -1,9 +1,12 @@
 """The model that a diagnosis leaves behind."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
 
+from flighttest.diagnose.conclusion import moved_parameters
+from flighttest.diagnose.mass import mass_test
 from flighttest.estimation.solver import Start
 from flighttest.physics.model import Model
 from flighttest.pipeline.diagnosis import diagnose as diagnosis
@@ -30,3 +33,22 @@ def test_the_model_file_of_a_diagnosis_holds_its_own_fit_but_for_what_the_base_m
         assert options["frozen"] == known
         assert options["start"] == own.start
     assert len(asked) == len(known)
+
+
+def test_what_the_model_in_use_only_assumed_has_not_changed(monkeypatch):
+    """After throttle steps alone, 'zeta_theta +234 %' was said of a start value that no flight had determined."""
+    asked = {}
+    monkeypatch.setattr(diagnosis, "search", lambda *_, **options: asked.update(options))
+    monkeypatch.setattr(diagnosis, "is_free_flight", lambda _segments: False)
+    monkeypatch.setattr(diagnosis, "held_against_zone", lambda found, *_: found)
+    known = SimpleNamespace(value=45.0, scatter=0.2, identifiable=True)
+    assumed = SimpleNamespace(value=0.39, scatter=None, identifiable=False)
+    stored = SimpleNamespace(parameters={"K": known, "zeta_theta": assumed}, model=Model())
+    diagnosis.run_diagnosis([], [], stored, None)
+    previous = asked["previous"]
+    assert previous["K"] == (45.0, 0.2)
+    now = {"K": {"value": 50.0, "scatter": 0.2}, "zeta_theta": {"value": 1.3, "scatter": 0.01}}
+    said = moved_parameters(previous, now)
+    assert "K +11 %" in said
+    assert "zeta_theta" not in said
+    assert mass_test({"K": (45.0, math.inf)}, {"K": (50.0, 0.2)}) == {}

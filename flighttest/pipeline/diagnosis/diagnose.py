@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -65,7 +66,8 @@ def run_diagnosis(
     """
     previous = None
     if stored is not None:
-        previous = {name: (p.value, p.scatter) for name, p in stored.parameters.items()}
+        # What no flight determined is a start value: whatever is found now, it has not changed.
+        previous = {n: (p.value, p.scatter if p.identifiable else math.inf) for n, p in stored.parameters.items()}
     progress.stage("searching for what the model lacks")
     air = weather_of({}, recordings, vehicle) if weather is None else weather
     base = stored.model if stored is not None else base_model(recordings, vehicle)
