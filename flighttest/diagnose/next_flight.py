@@ -70,12 +70,13 @@ def propose(
     search: Search,
     questions: Sequence[Question],
     values: Mapping[str, float],
-    flyable: Flyable = as_shipped,
+    fits: Callable[[ScriptData], tuple[ScriptData, float] | None],
     *,
     inside: bool = True,
 ) -> tuple[NextReason, ScriptData] | None:
-    """The maneuver with the best odds for the first question that any can answer: why, and the script. None when none can. inside: only of
-    those that can be flown in the vehicle's zone; else also of the others, for a larger zone."""
+    """The maneuver with the best odds for the first question that any can answer: why, and the script. None when none can. fits: as
+    `Flyable`, of the whole model: a search has that of one block. inside: only of those that can be flown in the vehicle's zone; else also
+    of the others, for a larger zone."""
     assert search.now is not None
     for question in questions:
         names = dict.fromkeys([question.term.reveals, *([question.rival.reveals] if question.rival else []), *TRIED])
@@ -83,7 +84,7 @@ def propose(
         for name in [n for n in names if n in shipped_names()][:MOST_TRIED]:
             try:
                 shipped = yaml.safe_load(resolve(name).read_text(encoding="utf-8"))
-                fitted = flyable(shipped, search.now.model, values)
+                fitted = fits(shipped)
                 if fitted is None and inside:
                     continue
                 made, size = fitted or (shipped, 1.0)

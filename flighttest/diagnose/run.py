@@ -174,7 +174,12 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
     nameless = so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)
     formulas = _described(asked, searches, staying) if nameless else []
     asked.tell("choosing the next flight")
-    proposal = _next(searches, findings, unseen, {t.id: t for t in pool}, flyable) if complete else None
+    catalogued = {t.id: t for t in pool}
+
+    def fits(script: ScriptData) -> tuple[ScriptData, float] | None:
+        return flyable(script, final, final_fit.values)
+
+    proposal = _next(searches, findings, unseen, catalogued, fits) if complete else None
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what was not searched for is neither missing nor explained
         sentence=sentence_of(so_far, findings, share, located, complete)
@@ -295,7 +300,7 @@ def _next(
     findings: Sequence[Any],
     unseen: Sequence[Untestable],
     terms: Mapping[str, Term],
-    flyable: Flyable,
+    fits: Callable[[ScriptData], tuple[ScriptData, float] | None],
 ) -> tuple[NextReason, ScriptData] | None:
     """The flight that separates rivals; where there are none, one that shows what could not be seen. A flight inside the zone for a
     later question comes before one for the first that needs a larger zone."""
@@ -319,7 +324,7 @@ def _next(
         for search, questions in asked:
             assert search.now is not None
             values = {**search.now.model.start(), **estimated}
-            if questions and (made := propose(search, questions, values, flyable, inside=inside)):
+            if questions and (made := propose(search, questions, values, fits, inside=inside)):
                 return made
     return None
 

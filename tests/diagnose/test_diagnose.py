@@ -145,6 +145,26 @@ def test_a_flight_inside_the_zone_comes_before_one_for_a_larger_zone():
     assert without.next_reason["separates"] == ["ground_effect"], "where nothing fits, the first, for a larger zone"
 
 
+def test_what_is_proposed_is_fitted_to_the_zone_with_all_that_was_found():
+    """By the model of one block a flight fitted the zone at its full size; held against it, 6 of its 27 steps did not."""
+    asked = []
+
+    def in_zone(script, model, values):
+        asked.append((model, values))
+        return script, 1.0
+
+    found = diagnose(tilts(latency=0.12), only=("velocity_latency", "turn_axes"), flyable=in_zone)
+    assert {u.term for u in found.untestable} == {"turn_axes"}, (
+        "a question of another block than the effect that was found"
+    )
+    assert found.accepted == ("velocity_latency",)
+    assert asked
+    assert all(
+        model == found.model and values["velocity_latency"] == found.values["velocity_latency"]
+        for model, values in asked
+    )
+
+
 def test_a_gust_is_set_aside_and_reported_and_hides_nothing():
     segments = fly(campaign(2), wind=(3.0, 0.0, 0.0), gust=((4, 5, 6), -2.0))
     found = diagnose(segments, only=["steady_wind", "accelerometer_bias"])
