@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from typing import Any, TypeVar
@@ -116,6 +116,18 @@ class Segment:
     def between_steps(self) -> bool:
         """Whether it is a window between steps, in which the vehicle is brought back: no flight that anybody meant to be looked at."""
         return self.context.between_steps
+
+    @property
+    def seconds(self) -> float:
+        """How long after its step the record ends, s."""
+        return float(self.t_s[-1]) - self.t_step_s
+
+    def until(self, seconds: float) -> Segment:
+        """The same response whose record ends so long after its step, s; itself where it is no longer."""
+        kept = self.t_s <= self.t_step_s + seconds
+        if kept.all():
+            return self
+        return replace(self, t_s=self.t_s[kept], y={name: values[kept] for name, values in self.y.items()})
 
     @property
     def since_takeoff_s(self) -> FloatArray:

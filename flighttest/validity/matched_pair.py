@@ -40,13 +40,15 @@ ALPHA_UNKNOWN = 0.6  # standard error of alpha where nothing is known of it: 0 w
 @dataclass(frozen=True)
 class StepScore:
     """What a model keeps of one kind of step of its own flights. cell: as `Segment.cell`; score: mean over `responses`, by parameter, at
-    the model's estimates; log_voltage: ln(U / U_n), NaN where it was not recorded."""
+    the model's estimates; log_voltage: ln(U / U_n), NaN where it was not recorded; seconds: how long after the step the longest of the
+    records ends, NaN where that was not kept."""
 
     kind: str
     cell: Mapping[str, float]
     responses: int
     log_voltage: float
     score: Mapping[str, float]
+    seconds: float = math.nan
 
     def same(self, kind: str, cell: Mapping[str, float]) -> bool:
         """Whether another step is the same one."""
@@ -63,7 +65,8 @@ def steps_flown(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: 
         first, score = segments[members[0]], normal.score[members].mean(axis=0)
         volts = _log_voltage([segments[i] for i in members], nominal_voltage_v)
         kept = dict(zip(normal.names, score.tolist(), strict=True))
-        found.append(StepScore(first.kind, dict(first.cell), len(members), volts, kept))
+        longest = max(segments[i].seconds for i in members)
+        found.append(StepScore(first.kind, dict(first.cell), len(members), volts, kept, longest))
     return tuple(found)
 
 
@@ -76,6 +79,7 @@ def matched_pair_data(steps: Sequence[StepScore]) -> StepsBlock:
             **{k: float(f"{v:.6g}") for k, v in s.cell.items()},
             "responses": s.responses,
             "log_voltage": round(s.log_voltage, 5) if math.isfinite(s.log_voltage) else None,
+            "seconds": round(s.seconds, 3) if math.isfinite(s.seconds) else None,
             "score": [float(f"{s.score[n]:.6g}") for n in order],
         }
         for s in steps
@@ -94,9 +98,26 @@ def matched_pairs_from(data: object) -> tuple[StepScore, ...]:
 
 def _step(order: Sequence[str], row: dict[str, Any]) -> StepScore:
     kind, count, volts, score = (row.pop(k) for k in ("kind", "responses", "log_voltage", "score"))
+    seconds = row.pop("seconds", None)  # older models have none
     cell = {str(k): float(v) for k, v in row.items()}
     kept = {str(n): float(v) for n, v in zip(order, score, strict=True)}
-    return StepScore(str(kind), cell, int(count), math.nan if volts is None else float(volts), kept)
+    return StepScore(str(kind), cell, int(count), _known(volts), kept, _known(seconds))
+
+
+def _known(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
+def as_long_as(kept: Sequence[StepScore], segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    """New responses, their records no longer than those of a model's own flights after the same step, or after any of its kind where these
+    did not fly it: of what comes later it is not known how the model misses it. Of a kind that they did not fly: as they are."""
+
+    def longest(segment: Segment) -> float:
+        alike = [s for s in kept if s.kind == segment.kind and math.isfinite(s.seconds)]
+        same = [s for s in alike if s.same(segment.kind, segment.cell)]
+        return max((s.seconds for s in same or alike), default=math.inf)
+
+    return tuple(s.until(longest(s)) for s in segments)
 
 
 def compare_matched(

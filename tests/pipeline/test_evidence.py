@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import Verdict as Found
+from flighttest.errors import FitError
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
+from flighttest.pipeline.validity import status
 from flighttest.pipeline.validity.evidence import (
     OF_THE_DAY,
     appeared,
@@ -194,3 +196,33 @@ def test_an_effect_that_could_be_there_unseen_is_stated_beside_current():
     rows = next(s for s in status_document(found, {}, ()).sections if s.id == "effects").blocks[0].rows
     assert [row[1] for row in rows] == ["ground_effect", "slung_payload", "motor_saturation"]
     assert "0.0090 payload_ratio" in str(rows[1])
+
+
+def test_a_flight_is_judged_no_farther_than_the_models_own_flights_looked(monkeypatch):
+    """Neither its parameters nor what it shows beside them: of what comes later, nothing is known to have changed."""
+    whole, part = SimpleNamespace(usable=True), SimpleNamespace(usable=True)
+    asked = []
+    monkeypatch.setattr(status, "cut_all", lambda *_: (whole,))
+    monkeypatch.setattr(status, "today_fingerprint", lambda *_: None)
+    monkeypatch.setattr(status.matched_pair, "as_long_as", lambda _kept, _segments: (part,))
+    monkeypatch.setattr(status, "motor_load", lambda _usable: None)
+    monkeypatch.setattr(status, "hover", lambda *_: None)
+    monkeypatch.setattr(status, "battery_of", lambda _recordings: None)
+    monkeypatch.setattr(status, "effects", lambda segments, *_: asked.append(("effects", list(segments))))
+
+    def no_fit(_stored, usable, *_):
+        asked.append(("estimated", list(usable)))
+        raise FitError("none", "")
+
+    monkeypatch.setattr(status, "reestimate", no_fit)
+    shown: list[object] = ["an effect"]
+    monkeypatch.setattr(status, "_raises", lambda *_: bool(shown))
+    model = stored(diagnosed={"verdict": "EXPLAINED"})
+    of_the_whole = SimpleNamespace(findings=(), located=(), untestable=(), not_needed=(), verdict=Found.NOTHING_MISSING)
+    status.gather_evidence(model, status.Today((SimpleNamespace(name="a"),)), diagnosed=of_the_whole)
+    assert asked == [("effects", [part]), ("estimated", [part])]
+    asked.clear()
+    shown.clear()
+    of_the_whole.smallest_detectable, of_the_whole.smallest_units = {}, {}
+    status.gather_evidence(model, status.Today((SimpleNamespace(name="a"),)), diagnosed=of_the_whole)
+    assert asked == [("estimated", [part])], "a diagnosis that shows nothing new is not made again"

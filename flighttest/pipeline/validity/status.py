@@ -128,12 +128,14 @@ def gather_evidence(
     known = campaigns(out, name) if out is not None and name else []
     earlier = [c.estimates for c in known if c.follows(stored) and not new & set(map(str, c.model.runs))]
     segments = cut_all(recordings, progress) if recordings else ()
-    usable = [s for s in segments if s.usable]
+    whole = [s for s in segments if s.usable]
+    usable = comparable(stored, whole)
     paired = None
     stds: dict[str, float | None] = {}
     if recordings:
-        if diagnosed is None and usable:
-            diagnosed = effects(segments, recordings, stored, vehicle, progress)
+        shorter = any(new is not old for new, old in zip(usable, whole, strict=True))
+        if usable and (diagnosed is None or (shorter and _raises(diagnosed, stored))):
+            diagnosed = effects(usable, recordings, stored, vehicle, progress)
         try:
             again, stds = reestimate(stored, usable, recordings[-1].name, progress)
             series = [*earlier, again]
@@ -178,6 +180,16 @@ def gather_evidence(
         ),
         untested=missed,
     )
+
+
+def comparable(stored: ModelFile, segments: Sequence[Segment]) -> list[Segment]:
+    """New responses as far as the model's own flights looked after such steps."""
+    return list(matched_pair.as_long_as(matched_pair.matched_pairs_from(stored.fit_quality.get("steps")), segments))
+
+
+def _raises(diagnosed: Diagnosis, stored: ModelFile) -> bool:
+    """Whether a diagnosis shows what the model does not have, or may."""
+    return bool(appeared(diagnosed, stored) or doubtful(diagnosed, stored))
 
 
 def stored_hover(stored: ModelFile) -> Hover | None:
