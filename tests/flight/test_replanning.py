@@ -7,7 +7,7 @@ import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.execution.leg_order import REFUSED_CELL_MAX
-from flighttest.flight.execution.response import Learnt, ThrottleTrace
+from flighttest.flight.execution.response import Learnt, ThrottleTrace, hover_off
 from flighttest.pipeline.planning.checking import predictor_for
 from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.plan import AttitudeTarget
@@ -146,3 +146,9 @@ def test_a_leg_that_the_weather_may_have_spoilt_is_tried_once_more_at_the_end(ru
         ("test/a/r1", LegOutcome.FLOWN),
     ]
     assert REFUSED_CELL_MAX == 2
+
+
+def test_who_gave_no_vehicle_file_is_not_told_to_correct_it():
+    assert hover_off(0.21, 0.18, "hexa.yaml").endswith("0.180 in hexa.yaml: more than 10 % off; correct it there")
+    assert "assumed 0.180" in hover_off(0.21, 0.18, "")
+    assert "--vehicle" in hover_off(0.21, 0.18, "")

@@ -98,3 +98,10 @@ class ThrottleTrace:
         if best == len(_AGES_S) - 1 or math.sqrt(misfits[best]) > _MISFIT_MAX_M_S:
             return None
         return float(_AGES_S[best])
+
+
+def hover_off(measured: float, used: float, path: str) -> str:
+    """A sentence on a hover throttle that is not the one of the vehicle file at `path`, '' where none was given."""
+    if path:
+        return f"hover throttle measured {measured:.3f}, {used:.3f} in {path}: more than 10 % off; correct it there"
+    return f"hover throttle measured {measured:.3f}, assumed {used:.3f}: more than 10 % off; state it in a vehicle file (--vehicle)"

@@ -16,7 +16,7 @@ from flighttest.flight.execution.leg_order import LegOrder
 from flighttest.flight.execution.legs import AutopilotSettings
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.reset import Arrival
-from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace
+from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace, hover_off
 from flighttest.flight.gate import LINK, Refusal, readiness
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
 from flighttest.link.session import LinkSilent
@@ -356,9 +356,7 @@ class Scheduler:
         differs = abs(measured / stated - 1.0) > HOVER_WARNING and voltage and abs(voltage / nominal - 1.0) < 0.03
         if differs and not self._doubted_hover:
             self._doubted_hover = True
-            self._note(
-                f"hover throttle measured {measured:.3f}, stated {stated:.3f}: more than 10 % off; correct vehicle.yaml"
-            )
+            self._note(hover_off(measured, stated, self.plan.vehicle.path))
         self.control.use_hover(measured)
         if voltage:
             self._hover = (measured, voltage)
