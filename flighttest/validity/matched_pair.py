@@ -22,6 +22,7 @@ from flighttest.estimation.uncertainty.covariance import cluster_covariance, var
 from flighttest.identify.fixed_parameters import normal_at
 from flighttest.identify.models.model_blocks import StepsBlock
 from flighttest.segments import Segment
+from flighttest.segments.commands import held_until_s
 from flighttest.validity.between_campaigns import prior
 from flighttest.validity.compare import Estimates, MatchedPairs
 from flighttest.validity.model import FloatArray
@@ -30,6 +31,7 @@ MIN_STEPS = 2  # kinds of step that must determine a parameter
 MIN_SHARE = 0.02  # of the information on a parameter, for a kind of step to determine it
 VAGUE = 0.15  # relative standard error beyond which a parameter is held at the model's: it would only blur the others
 DELAY_S = 0.1  # what a delay's error is relative to
+SAME_HOLD_S = 0.03  # two targets at 50 Hz: what two flights of one plan differ by is less
 SAME_SIZE = 0.03  # relative difference of two steps' sizes within which they are the same
 ROUNDS = 6
 LARGEST = 0.3  # relative change of a parameter in one round
@@ -41,7 +43,7 @@ ALPHA_UNKNOWN = 0.6  # standard error of alpha where nothing is known of it: 0 w
 class StepScore:
     """What a model keeps of one kind of step of its own flights. cell: as `Segment.cell`; score: mean over `responses`, by parameter, at
     the model's estimates; log_voltage: ln(U / U_n), NaN where it was not recorded; seconds: how long after the step the longest of the
-    records ends, NaN where that was not kept."""
+    records ends; held_s: how long its command stayed as the step had set it; NaN where they were not kept."""
 
     kind: str
     cell: Mapping[str, float]
@@ -49,6 +51,7 @@ class StepScore:
     log_voltage: float
     score: Mapping[str, float]
     seconds: float = math.nan
+    held_s: float = math.nan
 
     def same(self, kind: str, cell: Mapping[str, float]) -> bool:
         """Whether another step is the same one."""
@@ -65,8 +68,9 @@ def steps_flown(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: 
         first, score = segments[members[0]], normal.score[members].mean(axis=0)
         volts = _log_voltage([segments[i] for i in members], nominal_voltage_v)
         kept = dict(zip(normal.names, score.tolist(), strict=True))
-        longest = max(segments[i].seconds for i in members)
-        found.append(StepScore(first.kind, dict(first.cell), len(members), volts, kept, longest))
+        longest = max((segments[i] for i in members), key=lambda s: s.seconds)
+        until = longest.seconds, held_until_s(longest)
+        found.append(StepScore(first.kind, dict(first.cell), len(members), volts, kept, *until))
     return tuple(found)
 
 
@@ -80,6 +84,7 @@ def matched_pair_data(steps: Sequence[StepScore]) -> StepsBlock:
             "responses": s.responses,
             "log_voltage": round(s.log_voltage, 5) if math.isfinite(s.log_voltage) else None,
             "seconds": round(s.seconds, 3) if math.isfinite(s.seconds) else None,
+            "held_s": round(s.held_s, 3) if math.isfinite(s.held_s) else None,
             "score": [float(f"{s.score[n]:.6g}") for n in order],
         }
         for s in steps
@@ -98,10 +103,10 @@ def matched_pairs_from(data: object) -> tuple[StepScore, ...]:
 
 def _step(order: Sequence[str], row: dict[str, Any]) -> StepScore:
     kind, count, volts, score = (row.pop(k) for k in ("kind", "responses", "log_voltage", "score"))
-    seconds = row.pop("seconds", None)  # older models have none
+    seconds, held = row.pop("seconds", None), row.pop("held_s", None)  # older models have none
     cell = {str(k): float(v) for k, v in row.items()}
     kept = {str(n): float(v) for n, v in zip(order, score, strict=True)}
-    return StepScore(str(kind), cell, int(count), _known(volts), kept, _known(seconds))
+    return StepScore(str(kind), cell, int(count), _known(volts), kept, _known(seconds), _known(held))
 
 
 def _known(value: Any) -> float:
@@ -109,15 +114,24 @@ def _known(value: Any) -> float:
 
 
 def as_long_as(kept: Sequence[StepScore], segments: Sequence[Segment]) -> tuple[Segment, ...]:
-    """New responses, their records no longer than those of a model's own flights after the same step, or after any of its kind where these
-    did not fly it: of what comes later it is not known how the model misses it. Of a kind that they did not fly: as they are."""
+    """New responses as far as their command and their record go with those of a model's own flights after the same step, or after any of
+    its kind where these did not fly it: of what comes later it is not known how the model misses it. Of a kind that they did not fly: as
+    they are."""
 
-    def longest(segment: Segment) -> float:
-        alike = [s for s in kept if s.kind == segment.kind and math.isfinite(s.seconds)]
-        same = [s for s in alike if s.same(segment.kind, segment.cell)]
-        return max((s.seconds for s in same or alike), default=math.inf)
+    def alike_s(segment: Segment) -> float:
+        of_kind = [s for s in kept if s.kind == segment.kind and math.isfinite(s.seconds)]
+        same = [s for s in of_kind if s.same(segment.kind, segment.cell)]
+        held = held_until_s(segment)
+        return max((_alike_s(s, held, segment.seconds) for s in same or of_kind), default=math.inf)
 
-    return tuple(s.until(longest(s)) for s in segments)
+    return tuple(s.until(alike_s(s)) for s in segments)
+
+
+def _alike_s(kept: StepScore, held_s: float, seconds: float) -> float:
+    """How long after the step a kept one is like one whose command is held for so long and whose record ends then, s."""
+    first = min(kept.held_s, held_s)
+    parts = abs(kept.held_s - held_s) > SAME_HOLD_S and first < min(kept.seconds, seconds)
+    return first if parts else kept.seconds
 
 
 def compare_matched(

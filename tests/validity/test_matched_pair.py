@@ -120,6 +120,11 @@ def test_a_record_longer_than_the_models_own_is_compared_as_far_as_these_go(stor
     longest = max(s.seconds for s in made(7))
     (other,) = matched_pair.as_long_as(kept, [replace(longer[0], cell={"throttle_0": 0.12, "throttle_1": 0.22})])
     assert other.seconds <= longest + 0.02, "another step: no longer than any of its kind"
+    left = replace(
+        longer[0], u={"throttle": (np.array([-9.0, 0.0, 0.4]) + longer[0].t_step_s, np.array([0.05, 0.25, 0.18]))}
+    )
+    (part,) = matched_pair.as_long_as(kept, [left])
+    assert part.seconds == pytest.approx(0.4, abs=0.02), "a command that parts earlier is another step from there on"
     unknown = replace(longer[0], kind="roll_step")
     assert matched_pair.as_long_as(kept, [unknown]) == (unknown,), "of a kind that was not flown nothing is known"
     old = [replace(s, seconds=float("nan")) for s in kept]

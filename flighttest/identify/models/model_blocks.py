@@ -153,8 +153,8 @@ class BatteryBlock(TypedDict):
 
 
 class StepsBlock(TypedDict):
-    """Mean scores of each kind of step by the parameters in `order`; a row holds kind, responses, log_voltage, seconds
-    (how long after the step its records end), score and its cell."""
+    """Mean scores of each kind of step by the parameters in `order`; a row holds kind, responses, log_voltage, seconds and held_s (how
+    long after the step its records end, and its command is held), score and its cell."""
 
     order: list[str]
     flown: list[dict[str, PlainData]]
