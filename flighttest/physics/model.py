@@ -29,9 +29,8 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Param, Term
 from flighttest.physics.equations import ModelEquations, citations_of, equations_of
-from flighttest.physics.hovering import Hover, Hovering
 from flighttest.physics.simulated import Simulated, run_open_loop
-from flighttest.physics.system import System, build_system
+from flighttest.physics.system import AtRest, RestSolver, System, build_system
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -145,17 +144,17 @@ class Model:
         """Throttle that holds height at these voltages, V, of their shape: with what hangs below and whatever else pulls in still air."""
         return self.hover(values, voltage_v).throttle.reshape(np.shape(voltage_v))
 
-    def hover(self, values: Mapping[str, float], voltage_v: ArrayLike) -> Hover:
+    def hover(self, values: Mapping[str, float], voltage_v: ArrayLike) -> AtRest:
         """Throttle and states at rest in the air, level, at n voltages, V. values: all parameters by name."""
         volts, places = np.unique(np.asarray(voltage_v, dtype=float).ravel(), return_inverse=True)
         alone = self.g_m_s2 / (values["K"] * (volts / self.nominal_voltage_v) ** values["alpha"])
         p = np.array([values[name] for name in self.system.params])
-        found = self._hovering.at(p, volts, alone, self.g_m_s2)
-        return Hover(found.throttle[places], found.states[:, places])
+        found = self._rest.at(p, volts, alone, self.g_m_s2)
+        return AtRest(found.throttle[places], found.states[:, places])
 
     @cached_property
-    def _hovering(self) -> Hovering:
-        return Hovering(self.system)
+    def _rest(self) -> RestSolver:
+        return RestSolver(self.system)
 
     def with_terms(self, *terms: str | Term) -> Model:
         """This model with further terms (ids, or Terms that need not be in the catalogue)."""

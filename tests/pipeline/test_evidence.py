@@ -216,7 +216,7 @@ def test_a_flight_is_judged_no_farther_than_the_models_own_flights_looked(monkey
 
     monkeypatch.setattr(status, "reestimate", no_fit)
     shown: list[object] = ["an effect"]
-    monkeypatch.setattr(status, "_raises", lambda *_: bool(shown))
+    monkeypatch.setattr(status, "shows_more", lambda *_: bool(shown))
     model = stored(diagnosed={"verdict": "EXPLAINED"})
     of_the_whole = SimpleNamespace(findings=(), located=(), untestable=(), not_needed=(), verdict=Found.NOTHING_MISSING)
     status.gather_evidence(model, status.Today((SimpleNamespace(name="a"),)), diagnosed=of_the_whole)

@@ -280,8 +280,8 @@ def test_the_improved_model_is_judged_by_its_own_fit(tmp_path):
 
     assert accepting(poor, good).startswith("flighttest accept")
     assert accepting(good, poor) == accepting(poor, None) == ""
-    assert campaign._status(campaign.Analysis((), (), poor, improved=good), usable=True) is Status.DONE
-    assert campaign._status(campaign.Analysis((), (), good, improved=poor), usable=True) is Status.UNEXPLAINED
+    assert campaign.status_of(campaign.Analysis((), (), poor, improved=good), usable=True) is Status.DONE
+    assert campaign.status_of(campaign.Analysis((), (), good, improved=poor), usable=True) is Status.UNEXPLAINED
 
 
 def test_the_last_screen_shows_what_was_missing_with_its_interval_and_the_errors_without_and_with_it():

@@ -107,7 +107,7 @@ def analyse(
         data |= {"validity": answer, "currency": answer}  # the second is what programs may read yet
     if found.diagnosis is not None:
         data["diagnosis"] = found.diagnosis
-    status = _status(found, landed.usable)
+    status = status_of(found, landed.usable)
     words = how_to_accept(found, status, folders[-1], name, out, keep)
     return Result(_summary(found, view, landed, page, words), data, status, found)
 
@@ -173,7 +173,8 @@ def renewed(found: Analysis) -> bool:
     return found.previous is None or as_good(model_file.from_fit(own), found.previous)
 
 
-def _status(found: Analysis, usable: bool) -> Status:
+def status_of(found: Analysis, usable: bool) -> Status:
+    """What the command exits with. usable: False when a flight of the campaign was aborted."""
     if not usable:
         return Status.UNUSABLE
     if found.own is None:

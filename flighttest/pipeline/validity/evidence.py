@@ -134,6 +134,11 @@ def doubtful(found: Diagnosis, stored: ModelFile) -> str:
     return "" if not places or any(place.repeated for place in places) else places[0].sentence
 
 
+def shows_more(found: Diagnosis, stored: ModelFile) -> bool:
+    """Whether a new recording shows what the model does not have, or may."""
+    return bool(appeared(found, stored) or doubtful(found, stored))
+
+
 def as_old(found: Diagnosis, stored: ModelFile) -> tuple[str, ...]:
     """What a new recording shows and the model does not have, but its own flights left alike: one sentence for each
     name, and one for what has none."""

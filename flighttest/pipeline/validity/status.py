@@ -34,6 +34,7 @@ from flighttest.pipeline.validity.evidence import (
     doubtful,
     effects,
     not_seen,
+    shows_more,
     subsets_of,
     untested,
     untested_sentences,
@@ -134,7 +135,7 @@ def gather_evidence(
     stds: dict[str, float | None] = {}
     if recordings:
         shorter = any(new is not old for new, old in zip(usable, whole, strict=True))
-        if usable and (diagnosed is None or (shorter and _raises(diagnosed, stored))):
+        if usable and (diagnosed is None or (shorter and shows_more(diagnosed, stored))):
             diagnosed = effects(usable, recordings, stored, vehicle, progress)
         try:
             again, stds = reestimate(stored, usable, recordings[-1].name, progress)
@@ -185,11 +186,6 @@ def gather_evidence(
 def comparable(stored: ModelFile, segments: Sequence[Segment]) -> list[Segment]:
     """New responses as far as the model's own flights looked after such steps."""
     return list(matched_pair.as_long_as(matched_pair.matched_pairs_from(stored.fit_quality.get("steps")), segments))
-
-
-def _raises(diagnosed: Diagnosis, stored: ModelFile) -> bool:
-    """Whether a diagnosis shows what the model does not have, or may."""
-    return bool(appeared(diagnosed, stored) or doubtful(diagnosed, stored))
 
 
 def stored_hover(stored: ModelFile) -> Hover | None:
