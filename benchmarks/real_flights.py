@@ -49,7 +49,7 @@ class Recordings:
 # What a set's documentation supports, by words of its name, and the verdicts that fit it; the first that matches counts.
 SUPPORTS = (
     ("weight_on_string", "a load on a string; a change of mass or of a propeller shows against the undamaged model only", ANY),
-    ("controller_data, add_weight", "the thrust curve, and a motor at its limit by the log's own torque commands", CALM),
+    ("controller_data, E9, add_weight", "the thrust curve, and a motor at its limit by the log's own torque commands", CALM),
     ("propeller damage", "nothing but the thrust curve: a change shows against the undamaged model only", CALM),
     ("still air", "no wind", ANY),
     ("failure", "a mechanical failure in flight: located, or outside what a flight model holds", (*ANY, "UNKNOWN_PHYSICS")),
@@ -62,12 +62,12 @@ SUPPORTS = (
 def flights_of() -> list[Recordings]:
     """Every set that is listed, and three questions beside them."""
     listed = {one.name: one for one in read_sets(LISTED)}
-    normal = listed["propeller damage, controller_data, normal_flight"]
+    normal = listed["propeller damage, controller_data, E8, normal_flight"]
     tunnel = [one for one in listed.values() if one.source == "wind tunnel"]
     own = frozenset(term for one in tunnel for term in one.own)
     found = [
         Recordings(
-            "propeller damage, two undamaged flights", tuple(f.replace("*", f"E8_log0{k}") for k in (0, 1) for f in normal.files),
+            "propeller damage, two undamaged flights", tuple(f.replace("*", f"log0{k}") for k in (0, 1) for f in normal.files),
             "nothing but the thrust curve", allowed=frozenset(normal.own),
         ),
         Recordings(
