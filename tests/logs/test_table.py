@@ -8,7 +8,7 @@ from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs import import_log
 from flighttest.logs.tables.columns import parse_columns
-from flighttest.logs.tables.crazyflie import beyond_limits
+from flighttest.logs.tables.crazyflie import beyond_limits, motor_commands
 from flighttest.logs.tables.sheet import Sheet
 from tests.logs.tables import N, mapped, save
 
@@ -294,6 +294,37 @@ def test_a_motor_that_is_asked_for_more_than_it_has_is_said(share, said):
         ]
     del raw["controller.cmd_yaw"]
     assert beyond_limits(Sheet("a", raw, crazyflie=True)) == []
+
+
+def test_motor_commands_follow_from_thrust_and_torques_within_what_a_motor_has():
+    raw = {f"controller.cmd_{axis}": np.zeros(3) for axis in ("thrust", "roll", "pitch", "yaw")}
+    raw["controller.cmd_thrust"][:2] = 0.6 * 65535
+    raw["controller.cmd_roll"][1], raw["controller.cmd_yaw"][:] = 0.2 * 65535, 0.05 * 65535
+    found = motor_commands(Sheet("a", raw, crazyflie=True))
+    np.testing.assert_allclose([found[f"motor_{k}"][0] for k in range(1, 5)], [0.65, 0.55, 0.65, 0.55])
+    np.testing.assert_allclose([found[f"motor_{k}"][1] for k in range(1, 5)], [0.55, 0.45, 0.75, 0.65])
+    assert all(m[2] == 0.0 for m in found.values()), "with the thrust off the motors are off"
+    raw["controller.cmd_roll"][1] = 65535.0
+    assert motor_commands(Sheet("a", raw, crazyflie=True))["motor_3"][1] == 1.0
+    del raw["controller.cmd_pitch"]
+    assert motor_commands(Sheet("a", raw, crazyflie=True)) == {}
+
+
+def test_mixed_motor_commands_are_those_that_another_log_of_the_vehicle_recorded(shared_data):
+    """Two undamaged flights of one plan, one with torque commands, one with motor commands: the motors share the load alike."""
+    flown = [
+        import_log(shared_data / "propeller_damage" / log / "normal_flight" / "E8_log00")
+        for log in ("controller_data", "motor_data")
+    ]
+    assert "mixed" in flown[0].provenance.derived["motor_1"]
+    assert "motor_1" not in flown[1].provenance.derived
+    shares = []
+    for r in flown:
+        commands = np.array([r.channel(f"motor_{k}")[1] for k in range(1, 5)])
+        mean = commands[:, commands.mean(axis=0) > 0.3].mean(axis=1)
+        shares.append(mean / mean.mean())
+    np.testing.assert_allclose(*shares, atol=0.015)
+    assert np.ptp(shares[0]) > 0.15, "unlike enough that a wrong sign shows"
 
 
 def test_a_weight_beside_a_motor_takes_it_to_its_limit(shared_data):

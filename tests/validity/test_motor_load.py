@@ -128,3 +128,20 @@ def test_two_millimetres_of_a_recorded_propeller_are_seen_and_no_undamaged_fligh
                 rest = [k for k in range(len(flights_of)) if k not in own]
                 sides = (joined([flights_of[k] for k in part]) for part in (own, rest))
                 assert not motor_load_test(*sides, 0.005).alarm, own
+
+
+def test_the_torque_commands_of_a_log_without_motor_commands_show_a_cut_propeller(shared_data):
+    """The controller log of the same vehicles: thrust and torques, which the firmware mixes to motor commands."""
+    folder = shared_data / "propeller_damage" / "controller_data"
+
+    def load(name, *which):
+        files = [f for f in sorted((folder / name).glob("E8_*")) if not which or int(f.name[-2:]) in which]
+        return motor_load(cut_all(open_recordings(files)))
+
+    model = load("normal_flight")
+    test = motor_load_test(model, load("cut_propeller_M3_3mm_3mm_41mm"), 0.0033)
+    assert test.alarm
+    assert "motor 3 beside the others rose" in test.sentence
+    one, other = load("normal_flight", 0, 1, 2), load("normal_flight", 3, 4)
+    assert not motor_load_test(one, other, 0.0033).alarm
+    assert not motor_load_test(other, one, 0.0033).alarm

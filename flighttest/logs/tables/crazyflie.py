@@ -7,9 +7,12 @@ is positive nose up; accelerations in g, stateEstimate's without gravity in the 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flighttest.logs.tables.columns import ColumnMap, ColumnSource
 from flighttest.logs.tables.sheet import Sheet
+
+FloatArray = NDArray[np.float64]
 
 _DEG = 0.017453292519943295
 _G = 9.80665
@@ -62,15 +65,33 @@ def crazyflie_map(names: tuple[str, ...]) -> ColumnMap:
     return ColumnMap(columns)
 
 
+def motor_commands(sheet: Sheet) -> dict[str, FloatArray]:
+    """Channel to command, 0 to 1, of the four motors where thrust and torques were logged in their place: their sum as the firmware mixes
+    them, within what a motor has. None where one of them is missing."""
+    return (
+        {}
+        if (asked := _asked(sheet)) is None
+        else {f"motor_{k}": np.clip(m, 0.0, 1.0) for k, m in enumerate(asked.T, 1)}
+    )
+
+
+def _asked(sheet: Sheet) -> FloatArray | None:
+    """What thrust and torques together ask of each motor, (n, 4) of its range, 0 where no thrust is asked for."""
+    if not set(_MIXER) <= set(sheet.names):
+        return None
+    asked = np.sum([np.outer(sheet.column(name), parts) for name, parts in _MIXER.items()], axis=0) * _THRUST
+    return np.where(sheet.column("controller.cmd_thrust")[:, None] > 0.0, asked, 0.0)
+
+
 def beyond_limits(sheet: Sheet) -> list[str]:
     """A sentence for each motor that thrust and torques together ask for more than it has. What the motors give then is less than the
     thrust command, by how much depends on the firmware: older ones limit each motor, newer ones take as much from all four."""
-    if not set(_MIXER) <= set(sheet.names):
+    asked = _asked(sheet)
+    if asked is None:
         return []
-    asked = sum(np.outer(sheet.column(name), parts) for name, parts in _MIXER.items()) * _THRUST
     flying = sheet.column("controller.cmd_thrust") > 0.0
     found = []
-    for k, motor in enumerate(np.asarray(asked)[flying].T, 1):
+    for k, motor in enumerate(asked[flying].T, 1):
         share = float(np.mean(motor > 1.0)) if motor.size else 0.0
         if share > _OFTEN:
             found.append(

@@ -20,7 +20,7 @@ from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.tables.agreement import disagreements, gravity_warnings
 from flighttest.logs.tables.columns import STEP, ColumnMap, ColumnSource, load_columns, plain_map
-from flighttest.logs.tables.crazyflie import beyond_limits, crazyflie_map
+from flighttest.logs.tables.crazyflie import beyond_limits, crazyflie_map, motor_commands
 from flighttest.logs.tables.reading import read_sheet
 from flighttest.logs.tables.ros_bag import MAGIC, read_bag
 from flighttest.logs.tables.sheet import TIME, Sheet
@@ -75,6 +75,13 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     t_s, pieces = _one_after_another(_tame(_time(path, sheet, plan), losses), losses)
     derived: dict[str, str] = {}
     found = _channels(sheet, plan, derived, path)
+    if sheet.crazyflie:
+        for motor, command in motor_commands(sheet).items():
+            if motor not in found:
+                found[motor] = command
+                derived[motor] = (
+                    "thrust and torque commands, mixed as the firmware does (power_distribution_quadrotor.c)"
+                )
     _without_battery(found, losses)
     losses += disagreements(t_s, found)
     _derive(t_s, found, derived)
