@@ -207,7 +207,8 @@ def test_every_set_in_a_known_state_is_of_one_vehicle(repository, shared_data):
     listed = sets.read_sets(repository / "examples" / "recordings" / "public.yaml")
     known = [one for one in listed if one.source == "propeller damage"]
     for one in known:
-        assert one.vehicle and one.state, one.name
+        assert one.vehicle, one.name
+        assert one.state, one.name
         (vehicle,) = {f.name.split("_")[0] for f in one.found(shared_data)}
         assert f" {vehicle}, " in one.vehicle, one.name
     assert len({f for one in known for f in one.found(shared_data)}) == 74

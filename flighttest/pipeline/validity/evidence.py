@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from flighttest.diagnose import Diagnosis, Finding, Located, Verdict
+from flighttest.diagnose.selection.comparison import log_odds_asked
+from flighttest.diagnose.selection.detectability import POWER
 from flighttest.errors import FitError
 from flighttest.estimation.uncertainty.distributions import quantile
 from flighttest.identify.models.model_file import ModelFile
@@ -24,6 +26,8 @@ from flighttest.vehicle.model import Vehicle
 
 # Conditions of a day, not of a vehicle: the wind, and what an accelerometer is off by each time it is switched on.
 OF_THE_DAY = ("steady_wind", "accelerometer_bias")
+# Standard errors that a coefficient must be large to be named, of the fewest candidates: of more it is larger.
+ASKED = math.sqrt(2.0 * log_odds_asked(1))
 NAMELESS = "something without a name"
 SOUND = (Verdict.NOTHING_MISSING.name, Verdict.EXPLAINED.name)
 NOT_DIAGNOSED = "effects that the model does not have: it was never diagnosed, so that they may be as old as it is (`flighttest diagnose`)"
@@ -101,14 +105,14 @@ def effects(
 
 def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
     """Effects that a new recording shows and the model does not have; none for a model whose own flights were never diagnosed, nor what
-    those left alike (`as_old`)."""
+    those left alike or would not have shown (`as_old`)."""
     if not stored.diagnosed:
         return ()
     known = KnownMismatch(found, stored)
     smallest = stored.diagnosed.get("smallest_detectable") or {}
     new = []
     for f in _named(found, stored):
-        if known.of_finding(f):
+        if known.of_finding(f) or _too_small_to_tell(f, stored):
             continue
         level = smallest.get(f.term) if isinstance(smallest, Mapping) else None
         unseen = f.term in (stored.diagnosed.get("untestable") or ())
@@ -148,7 +152,39 @@ def as_old(found: Diagnosis, stored: ModelFile) -> tuple[str, ...]:
     named = [(f.term, known.of_finding(f)) for f in _named(found, stored)]
     said = [as_old_as_the_model(term, [where]) for term, where in named if where]
     others = {known.of_place(place) for place in _nameless(found, stored, known)} - {"", *(where for _, where in named)}
-    return (*said, *([as_old_as_the_model(NAMELESS, sorted(others))] if others else ()))
+    small = [_too_small_to_tell(f, stored) for f in _named(found, stored) if not known.of_finding(f)]
+    return (*said, *filter(None, small), *([as_old_as_the_model(NAMELESS, sorted(others))] if others else ()))
+
+
+def _too_small_to_tell(finding: Finding, stored: ModelFile) -> str:
+    """Why an effect is no evidence of a change, in a sentence: one as large may have been in the model's own flights without showing.
+    Empty where they would have shown it, or nothing is known of what they would have shown."""
+    levels = (stored.diagnosed or {}).get("smallest_detectable")
+    level = levels.get(finding.term) if isinstance(levels, Mapping) else None
+    sizes = [p for p in catalogue()[finding.term].amplitudes if p.name in finding.parameters]
+    if not isinstance(level, int | float) or not 0.0 < level < math.inf or len({p.unit for p in sizes}) != 1:
+        return ""
+    rows = {p.name: finding.parameters[p.name] for p in sizes}
+    may_be = {name: may_have_been_missed(level, row["std"]) for name, row in rows.items()}
+    name = max(rows, key=lambda n: abs(rows[n]["value"]) / may_be[n])
+    unit = f" {sizes[0].unit}" if sizes[0].unit != "1" else ""
+    if not abs(rows[name]["value"]) < may_be[name]:
+        return ""
+    size, most = f"{rows[name]['value']:.2g} ± {1.96 * rows[name]['std']:.2g}{unit}", f"{may_be[name]:.2g}{unit}"
+    return (
+        f"whether {finding.term} came: {name} is {size}, and one of up to {most} may have been in the model's own flights without showing; "
+        "`flighttest diagnose` of both together describes it"
+    )
+
+
+def may_have_been_missed(level: float, std: float) -> float:
+    """Smallest estimate that is a change: an unchanged coefficient of any size is missed by one diagnosis and exceeds this in the next in
+    `FALSE_ALARM` of the cases at most. level: size that would have been named in four of five cases; std: of the new estimate.
+
+    A diagnosis names an estimate that is `ASKED` or more of its standard errors large, so that its standard error follows from the level.
+    """
+    before = level / (ASKED + POWER)
+    return ASKED * before - quantile(FALSE_ALARM, 1e4) * math.hypot(before, std)
 
 
 def _named(found: Diagnosis, stored: ModelFile) -> Sequence[Finding]:

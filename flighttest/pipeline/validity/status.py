@@ -49,6 +49,7 @@ from flighttest.report.sections.validity import status_document
 from flighttest.segments import Segment
 from flighttest.validity import matched_pair
 from flighttest.validity.assess import RecordingEvidence, assess
+from flighttest.validity.between_campaigns import prior
 from flighttest.validity.compare import Estimates, MatchedPairs
 from flighttest.validity.hover import Hover, hover
 from flighttest.validity.matched_pair import DELAY_S
@@ -311,9 +312,15 @@ def _determines_less(found: Fit, stored: ModelFile, name: str) -> bool:
 
 def discrepancy_allowed(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float]:
     """Relative discrepancy to allow for: this vehicle's own campaigns where there are enough, else what the model's campaign measured
-    between its conditions. What neither determines keeps the stated prior."""
+    between its conditions. What neither determines keeps the stated prior.
+
+    Thrust per throttle goes with the density of the air and the weight of the packs, which are those of one day in all the conditions of
+    one campaign: for K the stated prior of what campaigns differ by comes on top of what it measured.
+    """
     kept = stored.fit_quality.get("discrepancy")
     known = {str(n): float(v) for n, v in kept.items() if _number(v)} if isinstance(kept, Mapping) else {}
+    if "K" in known:
+        known["K"] = math.hypot(known["K"], prior("K"))
     return {**known, **(own_scatter(base, earlier) or {})}
 
 
