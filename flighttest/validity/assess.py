@@ -23,7 +23,7 @@ from flighttest.validity.model import (
     SubsetTest,
     ValidityVerdict,
 )
-from flighttest.validity.motor_load import MotorLoad, motor_load_test
+from flighttest.validity.motor_load import SUBSET, MotorLoad, culprit, motor_load_test
 from flighttest.vehicle.fingerprint import FingerprintData
 
 MOST_SAID = 6  # effects in the sentence; all are in the table below it
@@ -251,6 +251,8 @@ def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | 
         return (
             ": what delays the thrust (motors, speed controllers, a throttle filter), and not how much of it there is"
         )
+    if (motors := next((t for t in alarms if t.subset == SUBSET), None)) is not None:
+        return f": {culprit(motors)}"
     if "thrust" in moved and "attitude" not in moved:
         what = thrust_or_mass_words(*sides) if sides is not None else "thrust or mass"
         words = {

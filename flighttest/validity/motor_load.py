@@ -45,6 +45,12 @@ def motor_load(segments: Sequence[Segment]) -> MotorLoad | None:
     )
 
 
+def culprit(test: SubsetTest) -> str:
+    """What may have changed where the motors' test raised the alarm, in words."""
+    motor = max(test.shifts, key=lambda m: abs(test.shifts[m][1])).replace("_", " ")
+    return f"the propeller of {motor}, the motor itself, or a load near it"
+
+
 def motor_load_test(stored: MotorLoad, new: MotorLoad, level: float) -> SubsetTest:
     """The motor whose share changed most. A campaign counts as one flight: flights of one session repeat each other, sessions do not."""
     change = new.shares - stored.shares
@@ -55,9 +61,9 @@ def motor_load_test(stored: MotorLoad, new: MotorLoad, level: float) -> SubsetTe
     alarm = p_value < level
     relative = change / stored.shares
     verb = "rose" if change[worst] > 0 else "fell"
-    words = f"the command of motor {worst + 1} beside the others {verb} {abs(relative[worst]) * 100:.1f} %"
-    chance = f"{words} (chance of this without a change: {p_value:.1g})"
-    sentence = f"{chance}: its propeller, the motor, or a load near it" if alarm else f"{words}: no more than usual"
+    half = -quantile(0.025, stored.dof) * error / stored.shares[worst]
+    words = f"the command of motor {worst + 1} beside the others {verb} {abs(relative[worst]) * 100:.1f} ± {half * 100:.1f} %"
+    sentence = f"{words} (chance of this without a change: {p_value:.1g})" if alarm else f"{words}: no more than usual"
     least = -quantile(level / (2.0 * len(MOTORS)), stored.dof) * error
     return SubsetTest(
         SUBSET,

@@ -1,5 +1,6 @@
 """How the motors share the load: false alarms as stated, what a damaged propeller must do to show, and recorded flights."""
 
+import re
 from itertools import combinations
 
 import numpy as np
@@ -81,7 +82,9 @@ def test_status_names_the_motor_and_is_current_where_the_load_is_shared_as_befor
 
     found = answer(motor_load(flights(rng, 3, damage=0.3)))
     assert found.verdict is ValidityVerdict.STALE
-    assert "motor 3 beside the others rose" in found.sentence
+    rose, half = map(float, re.search(r"motor 3 beside the others rose ([\d.]+) ± ([\d.]+) %", found.sentence).groups())
+    assert abs(rose - 100.0 * 0.3 * 0.75 / SOUND[2]) < half < 5.0
+    assert found.sentence.endswith(": the propeller of motor 3, the motor itself, or a load near it.")
     assert found.impact == ("motor 3 reaches its limit earlier than in the model's flights",)
     assert answer(motor_load(flights(rng, 3))).verdict is ValidityVerdict.CURRENT
     assert answer(None).tests == ()

@@ -1,0 +1,47 @@
+"""What the list of public recordings supports by the recordings themselves is seen in them without this program's estimators."""
+
+import numpy as np
+import pytest
+
+from flighttest.pipeline.recordings.sources import open_recording
+from flighttest.segments.airborne import flights
+
+
+def arms(recording, first, last):
+    """(arm_z by f_x over dq/dt, by f_y over -dp/dt), m: least squares beside the rates, of what lies between 1 and 4 Hz."""
+    t, _ = recording.channel("p_rad_s")
+    even = np.arange(first, last, float(np.median(np.diff(t))))
+    frequency = np.fft.rfftfreq(even.size, even[1] - even[0])
+    inside = (frequency > 1.0) & (frequency < 4.0)
+
+    def spectrum(name, times=0):
+        value = np.interp(even, *recording.channel(name))
+        for _ in range(times):
+            value = np.gradient(value, even[1] - even[0])
+        return np.fft.rfft(value * np.hanning(even.size))[inside]
+
+    found = []
+    for force, rate, sign in (("f_x_m_s2", "q_rad_s", 1.0), ("f_y_m_s2", "p_rad_s", -1.0)):
+        columns = np.stack([sign * spectrum(rate, 1), spectrum(rate)], axis=1)
+        gram = (columns.conj().T @ columns).real
+        found.append(float(np.linalg.solve(gram, (columns.conj().T @ spectrum(force)).real)[0]))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("log", "arm_m", "within"),
+    [
+        ("copter_3.4_erlebrain3.BIN", 0.05, 0.005),
+        ("copter_3.4_mechanical_failure.bin", 0.05, 0.008),
+        ("sitl_4.7dev_steps.BIN", 0.0, 0.003),
+    ],
+)
+def test_an_imu_off_the_centre_of_mass_is_seen_alike_by_two_axes_in_two_parts_of_the_log(
+    shared_data, log, arm_m, within
+):
+    """Nothing relates f_x over dq/dt to f_y over -dp/dt but the arm; a simulated vehicle, whose IMU is in its centre of mass, has none."""
+    recording = open_recording(shared_data / "arducopter_logs" / log)
+    first, last = max(flights(recording), key=lambda span: span[1] - span[0])
+    half = 0.5 * (first + last)
+    found = [*arms(recording, first + 2.0, half), *arms(recording, half, last - 2.0)]
+    np.testing.assert_allclose(found, arm_m, atol=within)
