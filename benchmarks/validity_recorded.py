@@ -2,8 +2,8 @@
 
     python -m benchmarks.validity_recorded --write docs/validity.md
 
-Fits the undamaged flights together and asks of every folder whether that model still holds: of `controller_data` by the throttle, of
-`motor_data`, where the motors' commands were recorded, by vehicle and by the load of each motor. The recordings lie in
+Fits the undamaged flights of each vehicle together and asks of every folder whether that model still holds: by the throttle that holds
+height and by the load of each motor, which `motor_data` recorded and the commands of `controller_data` mix to. The recordings lie in
 `propeller_damage` of $FLIGHTTEST_DATA, or of ../shared/data beside the checkout. It takes two minutes.
 """
 
@@ -23,6 +23,7 @@ from flighttest.pipeline.validity.status import status
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 UNDAMAGED = "normal_flight"
+MOTORS_HEAD = "| vehicle | flights | number | largest change of a motor's command | chance without a change | shows from | answer |"
 
 
 def folder_of_recordings(name: str) -> Path:
@@ -39,20 +40,25 @@ def cells(test: Mapping[str, Any], name: str) -> str:
     return f"{test['shifts'][name][0]:+.1%} | {test['p_value']:.2g} | {test['detectable'][name]:.1%}"
 
 
-def row(name: str, flights: int, data: Mapping[str, Any]) -> str:
+def row(vehicle: str, name: str, flights: int, data: Mapping[str, Any]) -> str:
     """One line of the table by the throttle that holds height, with the answer of `status`."""
     test = next((t for t in data["tests"] if "hover_throttle" in t["shifts"]), None)
     found = "- | - | -" if test is None else cells(test, "hover_throttle")
-    return f"| {name} | {flights} | {found} | {data['verdict'].lower()} |"
+    return f"| {vehicle} | {name} | {flights} | {found} | {answer(data)} |"
 
 
 def motors_row(vehicle: str, name: str, flights: int, data: Mapping[str, Any]) -> str:
     """One line of the table by the motor whose share of the load changed most."""
     test = next(t for t in data["tests"] if t["subset"] == "motors")
     motor = max(test["shifts"], key=lambda n: abs(test["shifts"][n][1]))
-    changed = " and ".join(t["subset"] for t in data["tests"] if t["alarm"])
-    answer = f"{data['verdict'].lower()}{f' ({changed})' if changed else ''}"
-    return f"| {vehicle} | {name} | {flights} | {motor.replace('_', ' ')} {cells(test, motor)} | {answer} |"
+    return f"| {vehicle} | {name} | {flights} | {motor.replace('_', ' ')} {cells(test, motor)} | {answer(data)} |"
+
+
+def answer(data: Mapping[str, Any]) -> str:
+    """The verdict, and what it is by."""
+    changed = [t["subset"] for t in data["tests"] if t["alarm"]] + [a["term"] or "no name" for a in data["appeared"]]
+    by = f" ({', '.join(changed)})" if changed else ""
+    return f"{data['verdict'].lower()}{by}"
 
 
 def judged(folder: Path, pattern: str) -> Iterator[tuple[str, int, Mapping[str, Any]]]:
@@ -66,21 +72,30 @@ def judged(folder: Path, pattern: str) -> Iterator[tuple[str, int, Mapping[str, 
 
 
 def measured() -> Iterator[str]:
-    """The table."""
-    yield "| flights | number | throttle that holds height | chance without a change | shows from | answer |"
-    yield "|---|---|---|---|---|---|"
-    for found in judged(folder_of_recordings("controller_data"), "*"):
-        yield row(*found)
+    """Both tables of the controller log."""
+    answers = list(of_each_vehicle("controller_data"))
+    yield "| vehicle | flights | number | throttle that holds height | chance without a change | shows from | answer |"
+    yield "|---|---|---|---|---|---|---|"
+    yield from (row(*found) for found in answers)
+    yield ""
+    yield MOTORS_HEAD
+    yield "|---|---|---|---|---|---|---|"
+    yield from (motors_row(*found) for found in answers)
 
 
 def motors_measured() -> Iterator[str]:
-    """The table by the load of the motors."""
-    folder = folder_of_recordings("motor_data")
-    yield "| vehicle | flights | number | largest change of a motor's command | chance without a change | shows from | answer |"
+    """The table of the motor log by the load of the motors."""
+    yield MOTORS_HEAD
     yield "|---|---|---|---|---|---|---|"
+    yield from (motors_row(*found) for found in of_each_vehicle("motor_data"))
+
+
+def of_each_vehicle(log: str) -> Iterator[tuple[str, str, int, Mapping[str, Any]]]:
+    """(vehicle, name, number of flights, answer) of every folder of a log: each vehicle against its own undamaged flights."""
+    folder = folder_of_recordings(log)
     for vehicle in sorted({p.name.split("_")[0] for p in (folder / UNDAMAGED).iterdir()}):
         for found in judged(folder, f"{vehicle}_*"):
-            yield motors_row(vehicle, *found)
+            yield vehicle, *found
 
 
 def printed(lines: Iterable[str]) -> Iterator[str]:
