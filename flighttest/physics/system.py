@@ -169,6 +169,8 @@ class RestSolver:
             u[self._inputs.index("voltage_v")], u[self._inputs.index("throttle")] = volts, found[k]
             for _ in range(ITERATIONS):
                 rates, slope = (np.asarray(one, dtype=float) for one in self._newton(x, u, p))
+                if not (np.isfinite(rates).all() and np.isfinite(slope).all()):
+                    break  # absurd values have no rest: the throttle near by stays
                 # The least step: of a state that nothing here moves, none.
                 step = np.linalg.lstsq(slope, -rates.ravel(), rcond=1e-9)[0]
                 u[self._inputs.index("throttle")] += step[0]

@@ -148,7 +148,7 @@ def test_a_leg_that_the_weather_may_have_spoilt_is_tried_once_more_at_the_end(ru
     assert REFUSED_CELL_MAX == 2
 
 
-def test_who_gave_no_vehicle_file_is_not_told_to_correct_it():
+def test_who_gave_no_vehicle_file_is_not_asked_to_correct_it():
     assert hover_off(0.21, 0.18, "hexa.yaml").endswith("0.180 in hexa.yaml: more than 10 % off; correct it there")
     assert "assumed 0.180" in hover_off(0.21, 0.18, "")
     assert "--vehicle" in hover_off(0.21, 0.18, "")

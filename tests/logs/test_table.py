@@ -8,7 +8,7 @@ from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs import import_log
 from flighttest.logs.tables.columns import parse_columns
-from flighttest.logs.tables.crazyflie import beyond_limits, motor_commands
+from flighttest.logs.tables.crazyflie import beyond_limits, mixed_commands
 from flighttest.logs.tables.sheet import Sheet
 from tests.logs.tables import N, mapped, save
 
@@ -300,14 +300,14 @@ def test_motor_commands_follow_from_thrust_and_torques_within_what_a_motor_has()
     raw = {f"controller.cmd_{axis}": np.zeros(3) for axis in ("thrust", "roll", "pitch", "yaw")}
     raw["controller.cmd_thrust"][:2] = 0.6 * 65535
     raw["controller.cmd_roll"][1], raw["controller.cmd_yaw"][:] = 0.2 * 65535, 0.05 * 65535
-    found = motor_commands(Sheet("a", raw, crazyflie=True))
+    found = mixed_commands(Sheet("a", raw, crazyflie=True))
     np.testing.assert_allclose([found[f"motor_{k}"][0] for k in range(1, 5)], [0.65, 0.55, 0.65, 0.55])
     np.testing.assert_allclose([found[f"motor_{k}"][1] for k in range(1, 5)], [0.55, 0.45, 0.75, 0.65])
     assert all(m[2] == 0.0 for m in found.values()), "with the thrust off the motors are off"
     raw["controller.cmd_roll"][1] = 65535.0
-    assert motor_commands(Sheet("a", raw, crazyflie=True))["motor_3"][1] == 1.0
+    assert mixed_commands(Sheet("a", raw, crazyflie=True))["motor_3"][1] == 1.0
     del raw["controller.cmd_pitch"]
-    assert motor_commands(Sheet("a", raw, crazyflie=True)) == {}
+    assert mixed_commands(Sheet("a", raw, crazyflie=True)) == {}
 
 
 def test_mixed_motor_commands_are_those_that_another_log_of_the_vehicle_recorded(shared_data):

@@ -9,10 +9,10 @@ from flighttest.validity.model import ValidityVerdict
 
 
 @pytest.mark.parametrize(
-    ("log", "vehicle", "told"),
+    ("log", "vehicle", "said"),
     [("controller_data", "E8", "whether throttle_offset came: T_min is 0.11 ± 0.0"), ("motor_data", "E9", "")],
 )
-def test_an_undamaged_vehicle_is_current_on_another_day(shared_data, tmp_path, log, vehicle, told):
+def test_an_undamaged_vehicle_is_current_on_another_day(shared_data, tmp_path, log, vehicle, said):
     """The later session's throttle offset was called new, which the earlier may have missed; 2.3 % of thrust was 4.1 standard errors."""
     folder = shared_data / "propeller_damage" / log / "normal_flight"
     own, later = ([folder / f"{vehicle}_log0{k}" for k in which] for which in ((3, 4), (0, 1, 2)))
@@ -20,4 +20,4 @@ def test_an_undamaged_vehicle_is_current_on_another_day(shared_data, tmp_path, l
     found = status(open_recordings(later), None, tmp_path / MODEL_NAME, tmp_path).value
     assert found.verdict is ValidityVerdict.CURRENT
     assert [t.subset for t in found.tests] == ["thrust", "motors"]
-    assert not told or any(told in sentence for sentence in found.cannot_tell)
+    assert not said or any(said in sentence for sentence in found.cannot_tell)

@@ -65,7 +65,7 @@ def crazyflie_map(names: tuple[str, ...]) -> ColumnMap:
     return ColumnMap(columns)
 
 
-def motor_commands(sheet: Sheet) -> dict[str, FloatArray]:
+def mixed_commands(sheet: Sheet) -> dict[str, FloatArray]:
     """Channel to command, 0 to 1, of the four motors where thrust and torques were logged in their place: their sum as the firmware mixes
     them, within what a motor has. None where one of them is missing."""
     return (

@@ -20,7 +20,7 @@ from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.tables.agreement import disagreements, gravity_warnings
 from flighttest.logs.tables.columns import STEP, ColumnMap, ColumnSource, load_columns, plain_map
-from flighttest.logs.tables.crazyflie import beyond_limits, crazyflie_map, motor_commands
+from flighttest.logs.tables.crazyflie import beyond_limits, crazyflie_map, mixed_commands
 from flighttest.logs.tables.reading import read_sheet
 from flighttest.logs.tables.ros_bag import MAGIC, read_bag
 from flighttest.logs.tables.sheet import TIME, Sheet
@@ -76,7 +76,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     derived: dict[str, str] = {}
     found = _channels(sheet, plan, derived, path)
     if sheet.crazyflie:
-        for motor, command in motor_commands(sheet).items():
+        for motor, command in mixed_commands(sheet).items():
             if motor not in found:
                 found[motor] = command
                 derived[motor] = (

@@ -156,15 +156,15 @@ def as_old(found: Diagnosis, stored: ModelFile) -> tuple[str, ...]:
     return (*said, *filter(None, small), *([as_old_as_the_model(NAMELESS, sorted(others))] if others else ()))
 
 
-def _too_small_to_tell(finding: Finding, stored: ModelFile) -> str:
+def _too_small_to_tell(named: Finding, stored: ModelFile) -> str:
     """Why an effect is no evidence of a change, in a sentence: one as large may have been in the model's own flights without showing.
     Empty where they would have shown it, or nothing is known of what they would have shown."""
     levels = (stored.diagnosed or {}).get("smallest_detectable")
-    level = levels.get(finding.term) if isinstance(levels, Mapping) else None
-    sizes = [p for p in catalogue()[finding.term].amplitudes if p.name in finding.parameters]
+    level = levels.get(named.term) if isinstance(levels, Mapping) else None
+    sizes = [p for p in catalogue()[named.term].amplitudes if p.name in named.parameters]
     if not isinstance(level, int | float) or not 0.0 < level < math.inf or len({p.unit for p in sizes}) != 1:
         return ""
-    rows = {p.name: finding.parameters[p.name] for p in sizes}
+    rows = {p.name: named.parameters[p.name] for p in sizes}
     may_be = {name: may_have_been_missed(level, row["std"]) for name, row in rows.items()}
     name = max(rows, key=lambda n: abs(rows[n]["value"]) / may_be[n])
     unit = f" {sizes[0].unit}" if sizes[0].unit != "1" else ""
@@ -172,7 +172,7 @@ def _too_small_to_tell(finding: Finding, stored: ModelFile) -> str:
         return ""
     size, most = f"{rows[name]['value']:.2g} ± {1.96 * rows[name]['std']:.2g}{unit}", f"{may_be[name]:.2g}{unit}"
     return (
-        f"whether {finding.term} came: {name} is {size}, and one of up to {most} may have been in the model's own flights without showing; "
+        f"whether {named.term} came: {name} is {size}, and one of up to {most} may have been in the model's own flights without showing; "
         "`flighttest diagnose` of both together describes it"
     )
 
