@@ -237,6 +237,8 @@ def test_an_effect_that_could_be_there_unseen_is_stated_beside_current():
     brief = str(status_document(found, {}, (), brief=True).sections)
     assert "1 effect that the model does not have would have shown at twice the usual size or less" in brief
     assert "ground_effect from 4.1 m\u00b2 (R2_m2) on; motor_saturation not at all" in brief
+    brief = str(status_document(answer(could, never), {}, (), brief=True).sections)
+    assert "No effect that the model does not have would have shown" in brief
     rows = next(s for s in status_document(found, {}, ()).sections if s.id == "effects").blocks[0].rows
     assert [row[1] for row in rows] == ["ground_effect", "slung_payload", "motor_saturation"]
     assert "0.0090 payload_ratio" in str(rows[1])

@@ -123,7 +123,7 @@ def _not_seen(effects: Sequence[NotSeen], brief: bool) -> Section:
     )
     hidden = [e for e in effects if e.hidden]
     many = len(effects) - len(hidden)
-    seen = f"{many} effect{'' if many == 1 else 's'} that the model does not have would have shown at twice the usual size or less"
+    seen = f"{many or 'No'} effect{'s' if many > 1 else ''} that the model does not have would have shown at twice the usual size or less"
     later = [f"{e.term} from {_size(e)} on" for e in hidden if e.smallest is not None]
     never = [e.term for e in hidden if e.smallest is None]
     rest = (f"; {join(later)}" if later else "") + (f"; {join_some(never)} not at all" if never else "")
