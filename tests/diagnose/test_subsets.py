@@ -25,7 +25,7 @@ def param(name, nominal=1.0, one_sided=False):
 def candidate(name, columns, shape=None, family="propulsion", **how):
     columns = np.asarray(columns, dtype=float).reshape(len(columns), -1)
     names = tuple(f"{name}{k}" for k in range(columns.shape[1]))
-    term = SimpleNamespace(id=name, family=family, params=tuple(param(n, **how) for n in names))
+    term = SimpleNamespace(states=(), id=name, family=family, params=tuple(param(n, **how) for n in names))
     return Candidate(term, shape or {}, names, columns, lambda: columns)
 
 
@@ -193,7 +193,7 @@ def test_a_column_of_which_a_thousandth_is_left_is_a_candidate(rng, left, tried)
 def test_a_difference_without_a_coefficient_is_there_about_once(rng):
     """A term without a linear coefficient: multiple one of its whole change is expected, none is not it."""
     effect = rng.normal(size=(N, 1))
-    term = SimpleNamespace(id="limit", family="propulsion", params=())
+    term = SimpleNamespace(states=(), id="limit", family="propulsion", params=())
     scored = []
     for multiple in (1.0, 0.0):
         residual = multiple * effect[:, 0] + 0.5 * rng.normal(size=N)
@@ -209,7 +209,7 @@ def test_a_difference_without_a_coefficient_is_there_about_once(rng):
 def test_the_multiple_of_a_difference_is_known_to_two_fifths(rng):
     a = rng.normal(size=(N, 1))
     residual = 0.3 * a[:, 0] + rng.normal(size=N)
-    term = SimpleNamespace(id="a", family="propulsion", params=())
+    term = SimpleNamespace(states=(), id="a", family="propulsion", params=())
     found = subsets(residual, np.zeros((N, 0)), [Candidate(term, {}, (), a, lambda: a)], floor=1.0)
     found.now[:], found.least[:], found.size[:] = 1.0, 1.0, 0.0
     (scored,) = found.score([(0,)])

@@ -11,6 +11,7 @@ import numpy as np
 
 from flighttest.estimation.estimator import Estimator, finite
 from flighttest.estimation.linearisation import FloatArray, Linearisation, Optimum
+from flighttest.estimation.uncertainty.drift import DISTURBANCE_DRIFT
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 
@@ -74,13 +75,19 @@ def usual_size(p: Param) -> float:
 
 
 def redundant(term: Term, strata: Collection[str]) -> frozenset[str]:
-    """Velocities that contain no information on a term, since their specific force is recorded: p(f, v) = p(f) p(v | f), and given specific
-    force and attitude kinematics alone make the velocity, whatever the force; what a force explains of it beyond that is the velocity
-    estimator's own error. None for terms of instruments. strata: what is recorded."""
+    """Strata that contain no information on a term. strata: what is recorded, and the disturbances.
+
+    Velocities where their specific force is recorded: p(f, v) = p(f) p(v | f), and given specific force and attitude kinematics alone make
+    the velocity, whatever the force; what a force explains of it beyond that is the velocity estimator's own error. All count for terms of
+    instruments. Disturbances where a term's own states are free at the start of every response: these take up what a disturbance would,
+    without any prediction (a load of 0.0085 of the mass was named on a log of ArduPilot's own simulator by smaller disturbances alone,
+    with a channel predicted worse).
+    """
+    free = DISTURBANCE_DRIFT.keys() & {*strata} if any(s.free for s in term.states) else frozenset()
     if term.family in _OF_INSTRUMENTS:
-        return frozenset()
+        return frozenset(free)
     sides = (_FORCES[:2], _VELOCITIES[:2]), (_FORCES[2:], _VELOCITIES[2:])
-    return frozenset(v for forces, velocities in sides if {*forces} <= {*strata} for v in velocities)
+    return frozenset(v for forces, velocities in sides if {*forces} <= {*strata} for v in velocities) | free
 
 
 def grid(term: Term) -> list[dict[str, float]]:
