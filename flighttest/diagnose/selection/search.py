@@ -144,8 +144,9 @@ class Search:
 
     def judge_as_a_whole(self) -> None:
         """Withdraw what was named unless the model with it predicts more channels of what was not used surely better than worse, each
-        response by its initial state alone: terms that are each needed beside the others may explain disturbances and not the flight. Not
-        where the two predict differently in fewer groups than such an interval takes."""
+        response by its initial state alone: terms that are each needed beside the others may explain disturbances and not the flight. Only
+        channels that one of the two misses by more than the noise floor. Not where the two predict differently in fewer groups than such
+        an interval takes."""
         if not self.evidence:
             return
         assert self.base is not None
@@ -154,7 +155,8 @@ class Search:
         before, after = self.base.held_out(self.groups), self.now.held_out(self.groups)
         if 0 < groups_moved(before, after, self.groups, self.floor, LEAST_FLOORS) < FEWEST_GROUPS:
             return  # each term was tested by itself
-        gains = gains_held_out(before, after, self.groups, self.floor).values()
+        every = gains_held_out(before, after, self.groups, self.floor).values()
+        gains = [g for g in every if max(g.rmse_before, g.rmse_after) > g.floor]
         better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
         if better > worse:
             return
