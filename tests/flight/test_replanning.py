@@ -7,9 +7,9 @@ import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.execution.leg_order import REFUSED_CELL_MAX
-from flighttest.flight.execution.response import Learnt, ThrottleTrace, hover_off
+from flighttest.flight.execution.response import Learnt, ThrottleTrace, ThrustSeen, hover_off, learnt
 from flighttest.pipeline.planning.checking import predictor_for
-from flighttest.pipeline.planning.predictor import ScriptReplanner
+from flighttest.pipeline.planning.predictor import CURVATURE_CHANGE, ScriptReplanner
 from flighttest.plan import AttitudeTarget
 from flighttest.plan.compile import compile_plan
 from flighttest.recording.store import open_run
@@ -31,14 +31,17 @@ repeat: {each: 2, order: sequential}
 """
 
 
-def trace_of(age_s: float, lag_s: float, damping_1_s: float, tilt_rad: float = 0.0, step: float = 0.3) -> ThrottleTrace:
+def trace_of(
+    age_s: float, lag_s: float, damping_1_s: float, tilt_rad: float = 0.0, step: float = 0.3, curvature: float = 0.0
+) -> ThrottleTrace:
     """Throttle 0.1 for 0.4 s, then a step, on a vehicle that hovers at 0.18, heard at 50 Hz."""
     trace, dt = ThrottleTrace(0.18, angle_boost=True), 0.001
     climb = height = thrust = 0.0
     throttles = {k: 0.1 if k * dt < 0.4 else step for k in range(1200)}
     for k in range(1200):
         asked = throttles.get(k - round((age_s - lag_s) / dt), 0.18)
-        thrust += dt / lag_s * (asked / 0.18 - 1.0 - thrust) if lag_s else asked / 0.18 - 1.0 - thrust
+        wanted = asked / 0.18 * (1.0 + curvature * (asked / 0.18 - 1.0)) - 1.0
+        thrust += dt / lag_s * (wanted - thrust) if lag_s else wanted - thrust
         climb += dt * (9.81 * thrust - damping_1_s * climb)
         height += dt * climb
         if k % 20 == 0:
@@ -50,11 +53,11 @@ def trace_of(age_s: float, lag_s: float, damping_1_s: float, tilt_rad: float = 0
 @pytest.mark.parametrize(("age", "lag"), [(0.149, 0.049), (0.02, 0.02), (0.25, 0.05)])
 def test_the_age_of_thrust_is_seen_through_drag(age: float, lag: float) -> None:
     for damping in (0.0, 0.5):
-        assert trace_of(age, lag, damping).age_s() == pytest.approx(age, abs=0.02)
+        assert trace_of(age, lag, damping).thrust().age_s == pytest.approx(age, abs=0.02)
 
 
 def test_a_tilted_leg_shows_the_age_by_what_acts_upwards() -> None:
-    assert trace_of(0.06, 0.05, 0.5, tilt_rad=0.35).age_s() == pytest.approx(0.06, abs=0.02)
+    assert trace_of(0.06, 0.05, 0.5, tilt_rad=0.35).thrust().age_s == pytest.approx(0.06, abs=0.02)
     bare, boosted = trace_of(0.06, 0.05, 0.5, tilt_rad=0.35), trace_of(0.06, 0.05, 0.5, tilt_rad=0.35)
     bare.angle_boost = False
     for t_s, _ in boosted._sent:
@@ -62,17 +65,78 @@ def test_a_tilted_leg_shows_the_age_by_what_acts_upwards() -> None:
     assert bare._sent[-1][1] == pytest.approx(0.3 * np.cos(0.35))
 
 
+@pytest.mark.parametrize("curvature", [-0.2, 0.0, 0.25, 0.6])
+def test_how_thrust_grows_with_throttle_is_seen_through_drag(curvature: float) -> None:
+    seen = trace_of(0.08, 0.05, 0.5, curvature=curvature).thrust()
+    assert seen is not None
+    assert seen.curvature == pytest.approx(curvature, abs=0.05)
+    tilted = trace_of(0.08, 0.05, 0.5, curvature=curvature, tilt_rad=0.35).thrust()
+    assert tilted is not None
+    assert not tilted.weight
+
+
+def test_a_leg_that_shows_the_curvature_better_counts_more() -> None:
+    good, poor = ThrustSeen(0.05, 0.3, 400.0), ThrustSeen(0.07, -0.5, 4.0)
+    both = learnt(0.18, 24.0, [good, poor])
+    assert both.curvature == pytest.approx((400 * 0.3 - 4 * 0.5) / 404)
+    assert both.thrust_age_s == pytest.approx(0.06)
+    assert "29 % more of it at twice that throttle" in both.words
+    assert "less" in Learnt(0.18, 24.0, 0.05, -0.1).words
+    assert learnt(0.18, 24.0, []) == Learnt(0.18, 24.0)
+
+
+def test_a_plan_follows_how_thrust_grows_with_throttle() -> None:
+    prior = predictor_for(None, DEFAULT_VEHICLE)
+    plan = compile_plan(parse_script(SCRIPT.replace("0.25, 0.40", "0.30, 0.35")), DEFAULT_VEHICLE, prior)
+    replanner = ScriptReplanner(plan, prior)
+    as_assumed = float(prior.hover_throttle(np.array([24.0]))[0])
+    own = prior.curvature(24.0)
+    assert own == pytest.approx(0.0, abs=0.05)
+    assert not replanner.due(Learnt(as_assumed, 24.0, None, own + CURVATURE_CHANGE - 0.005))
+    seen = Learnt(as_assumed, 24.0, None, own + 0.25)
+    assert replanner.due(seen)
+    new = replanner.plan(seen)
+    assert not replanner.due(seen), "the corrected prior is compared with from now on"
+    record = {c.label: dict(c.held_s)["step"] for c in plan.cells}
+    assert all(dict(c.held_s)["step"] < record[c.label] for c in new.cells), "a stronger climb is held shorter"
+
+
+@pytest.mark.parametrize("voltage", [21.0, 22.2, 25.0])
+def test_a_corrected_prior_shows_the_curvature_and_the_hover_that_were_seen(voltage: float) -> None:
+    prior = predictor_for(None, DEFAULT_VEHICLE)
+    hover, own = 1.05 * float(prior.hover_throttle(np.array([voltage]))[0]), prior.curvature(voltage)
+    once = prior.corrected(hover, voltage, None, 0.25)
+    assert once.curvature(voltage) == pytest.approx(own + 0.25, abs=0.02)
+    assert once.hover_throttle(np.array([voltage]))[0] == pytest.approx(hover, rel=1e-6)
+    back = once.corrected(hover, voltage, None, -0.25)
+    assert back.values["curvature"] == pytest.approx(0.0, abs=1e-9)
+    assert back.values["K"] == pytest.approx(prior.corrected(hover, voltage).values["K"])
+
+
+def test_a_vehicle_whose_thrust_grows_faster_than_its_throttle_is_flown_to_the_end(run_dir: Path) -> None:
+    curved = options(hide={"throttle_curve": {"curvature": 0.25}})
+    prior = predictor_for(None, DEFAULT_VEHICLE)
+    plan = compile_plan(parse_script(SCRIPT.replace("0.25, 0.40", "0.22, 0.30")), DEFAULT_VEHICLE, prior)
+    blind = fly(plan, "sim", run_dir.with_name("blind"), transport=FaultyLink(curved))
+    assert blind.outcome is FlightOutcome.ABORTED_BY_GATE
+
+    result = fly(plan, "sim", run_dir, transport=FaultyLink(curved), replanner=ScriptReplanner(plan, prior))
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert {r.leg for r in result.legs if r.outcome is LegOutcome.FLOWN} == {leg.id for leg in plan.legs}
+    assert any("more of it at twice that throttle" in note for note in result.notes)
+
+
 def test_what_cannot_tell_an_age_gives_none() -> None:
-    assert trace_of(0.1, 0.05, 0.5, tilt_rad=0.5).age_s() is None
-    assert ThrottleTrace(0.18).age_s() is None
+    assert trace_of(0.1, 0.05, 0.5, tilt_rad=0.5).thrust() is None
+    assert ThrottleTrace(0.18).thrust() is None
     even = ThrottleTrace(0.18)
     for k in range(60):
         even.sent(0.02 * k, AttitudeTarget(0.0, 0.0, 0.0, 0.0, 0.185))
         even.seen(0.02 * k, 0.01 * k, 5.0)
-    assert even.age_s() is None
+    assert even.thrust() is None
     gust = trace_of(0.1, 0.05, 0.5)
     gust._seen = [(t, v + np.sin(9.0 * t), h) for t, v, h in gust._seen]
-    assert gust.age_s() is None
+    assert gust.thrust() is None
 
 
 def test_a_plan_follows_what_was_learnt() -> None:

@@ -1,14 +1,17 @@
-"""How late thrust follows throttle, seen while flying: what the plan's prior assumes, measured on this vehicle.
+"""How late thrust follows throttle, and how it grows with it, seen while flying: what the plan's prior assumes, measured on this vehicle.
 
 Climb rate after a throttle step is the integral of the commanded thrust, shifted by the thrust's mean age (delay and lag together) and
 damped by the air; so one step whose height and climb rate were heard gives the age by a line fit, without any model of the vehicle. Of a
-tilted thrust its vertical part does the same, as long as the tilt is moderate.
+tilted thrust its vertical part does the same, as long as the tilt is moderate. Thrust at r times the hover throttle is taken as
+r (1 + c (r - 1)) times the weight, the form of `throttle_curve`; the curvature c is one number of the same line fit.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Protocol
 
 import numpy as np
@@ -24,6 +27,7 @@ _LEVEL_RAD = 0.02
 _TILT_MAX_RAD = 0.45  # beyond it, what the air does to a fast vehicle is no small thing beside the thrust
 _SHORTEST_S = 0.5
 _EXCURSION = 0.2  # of the hover throttle: less than this shows no age
+_SPEED_NOISE_M_S = 0.02  # of the climb rate as it is heard: a leg that fits better is not trusted more
 _MISFIT_MAX_M_S = 0.25  # rms; a gust, or a throttle that is not followed, would be taken for an age
 
 
@@ -31,12 +35,44 @@ _MISFIT_MAX_M_S = 0.25  # rms; a gust, or a throttle that is not followed, would
 class Learnt:
     """The vehicle's thrust, estimated from a hover and the legs flown so far.
 
-    hover_throttle at voltage_v; thrust_age_s: from sending a throttle to its mean effect, None as long as no leg determined it.
+    hover_throttle at voltage_v; thrust_age_s: from sending a throttle to its mean effect; curvature: of thrust over throttle, by which
+    there is more of it at twice the hover throttle; both None as long as no leg determined them.
     """
 
     hover_throttle: float
     voltage_v: float
     thrust_age_s: float | None = None
+    curvature: float | None = None
+
+    @property
+    def words(self) -> str:
+        """For the operator."""
+        parts = [f"hover throttle {self.hover_throttle:.3f} at {self.voltage_v:.1f} V"]
+        if self.thrust_age_s is not None:
+            parts.append(f"thrust {1e3 * self.thrust_age_s:.0f} ms after its command")
+        if self.curvature is not None:
+            more = "less" if self.curvature < 0.0 else "more"
+            parts.append(f"{100.0 * abs(self.curvature):.0f} % {more} of it at twice that throttle than in proportion")
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class ThrustSeen:
+    """What one leg showed. age_s, curvature: as in `Learnt`; weight: of the curvature, 1 / variance, 0 of a tilted leg, whose speed through
+    the air changes the thrust as well."""
+
+    age_s: float
+    curvature: float
+    weight: float
+
+
+def learnt(hover_throttle: float, voltage_v: float, seen: Sequence[ThrustSeen]) -> Learnt:
+    """What the legs seen so far say together: the median of the ages, and the weighted mean of the curvatures."""
+    if not seen:
+        return Learnt(hover_throttle, voltage_v)
+    total = sum(one.weight for one in seen)
+    curvature = sum(one.weight * one.curvature for one in seen) / total if total else None
+    return Learnt(hover_throttle, voltage_v, median(one.age_s for one in seen), curvature)
 
 
 class Replanner(Protocol):
@@ -74,30 +110,39 @@ class ThrottleTrace:
             return
         self._seen.append((t_s, climb_m_s, height_m))
 
-    def age_s(self) -> float | None:
-        """Mean age of the thrust, s; None where this leg does not show it (tilted far, too short, too even, or not explained by it)."""
+    def thrust(self) -> ThrustSeen | None:
+        """Age and curvature of the thrust; None where this leg does not show them (tilted far, too short, too even, or not explained by
+        them)."""
         if self._upright < math.cos(_TILT_MAX_RAD) or len(self._sent) < 10 or len(self._seen) < 10:
             return None
         sent, seen = np.array(self._sent), np.array(self._seen)
-        push = sent[:, 1] / self.hover_throttle - 1.0
+        lift = sent[:, 1] / self.hover_throttle
+        push, level = lift - 1.0, self._upright >= math.cos(_LEVEL_RAD)
         if seen[-1, 0] - seen[0, 0] < _SHORTEST_S or float(np.max(np.abs(push))) < _EXCURSION:
             return None
-        speed = np.concatenate([[0.0], np.cumsum(G_M_S2 * push[:-1] * np.diff(sent[:, 0]))])
+        straight, curved = (
+            np.concatenate([[0.0], np.cumsum(G_M_S2 * part[:-1] * np.diff(sent[:, 0]))]) for part in (push, lift * push)
+        )
         climb, risen = seen[:, 1], seen[:, 2] - seen[0, 2]
         rest = [risen, np.ones(len(seen))]
-        if self._upright < math.cos(_LEVEL_RAD):
+        if not level:
             # The speed that tilt brings grows with time, and its drag has a part that acts up or down.
             rest.append((seen[:, 0] - seen[0, 0]) ** 2)
-        misfits = []
+        fits = []
         for age in _AGES_S:
-            commanded = np.interp(seen[:, 0] - age, sent[:, 0], speed)
-            columns = np.column_stack([commanded, *rest])
-            found, *_ = np.linalg.lstsq(columns, climb, rcond=None)
-            misfits.append(float(np.mean((climb - columns @ found) ** 2)))
-        best = int(np.argmin(misfits))
-        if best == len(_AGES_S) - 1 or math.sqrt(misfits[best]) > _MISFIT_MAX_M_S:
+            at = seen[:, 0] - age
+            columns = np.column_stack([np.interp(at, sent[:, 0], curved), *rest])
+            wanted = climb - np.interp(at, sent[:, 0], straight)
+            found, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
+            fits.append((float(np.mean((wanted - columns @ found) ** 2)), float(found[0]), columns))
+        best = int(np.argmin([misfit for misfit, _, _ in fits]))
+        misfit, curvature, columns = fits[best]
+        if best == len(_AGES_S) - 1 or math.sqrt(misfit) > _MISFIT_MAX_M_S:
             return None
-        return float(_AGES_S[best])
+        others = columns[:, 1:]
+        alone = columns[:, 0] - others @ np.linalg.lstsq(others, columns[:, 0], rcond=None)[0]
+        weight = float(alone @ alone) / (misfit + _SPEED_NOISE_M_S**2) if level else 0.0
+        return ThrustSeen(float(_AGES_S[best]), curvature, weight)
 
 
 def hover_off(measured: float, used: float, path: str) -> str:

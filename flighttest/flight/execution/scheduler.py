@@ -6,7 +6,6 @@ import contextlib
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
-from statistics import median
 
 from flighttest.errors import LinkError
 from flighttest.flight.execution import legs as flying
@@ -16,7 +15,7 @@ from flighttest.flight.execution.leg_order import LegOrder
 from flighttest.flight.execution.legs import AutopilotSettings
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.reset import Arrival
-from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace, hover_off
+from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace, ThrustSeen, hover_off, learnt
 from flighttest.flight.gate import LINK, Refusal, readiness
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
 from flighttest.link.session import LinkSilent
@@ -49,7 +48,7 @@ class Scheduler:
     results: list[LegResult] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _reset_s: float = _RESET_GUESS_S
-    _ages_s: list[float] = field(default_factory=list)
+    _seen: list[ThrustSeen] = field(default_factory=list)
     _hover: tuple[float, float] | None = None
     _plans: int = 0
     _doubted_hover: bool = False
@@ -296,40 +295,36 @@ class Scheduler:
         trace = ThrottleTrace(control.hover_throttle, self.airframe.angle_boost)
         flown = leg.flown_with(control.hover_throttle, self.airframe.angle_boost)
         result = flying.fly_leg(control, flown, self.airframe, trace)
-        age = trace.age_s()
-        if age is not None:
-            self._ages_s.append(age)
+        seen = trace.thrust()
+        if seen is not None:
+            self._seen.append(seen)
         return result
 
     # -- planning again ------------------------------------------------------------------------------------------------------
 
     def _learnt(self) -> Learnt | None:
-        if self._hover is None:
-            return None
-        return Learnt(*self._hover, median(self._ages_s) if self._ages_s else None)
+        return learnt(*self._hover, self._seen) if self._hover is not None else None
 
     def _plan_is_due(self) -> bool:
         """Whether the vehicle differs from what the plan rests on. Only where the autopilot holds the position while planning."""
-        learnt = self._learnt()
-        if self.replanner is None or learnt is None or self.plan.reset.by != "guided" or self._plans >= PLANS_MAX:
+        found = self._learnt()
+        if self.replanner is None or found is None or self.plan.reset.by != "guided" or self._plans >= PLANS_MAX:
             return False
-        return self.replanner.due(learnt)
+        return self.replanner.due(found)
 
     def _plan_again(self) -> None:
-        learnt = self._learnt()
+        found = self._learnt()
         assert self.replanner is not None
-        assert learnt is not None
+        assert found is not None
         control = self.control
         self._plans += 1
         control.show(doing="planning again for the thrust that was seen")
-        self.plan = self.replanner.plan(learnt)
+        self.plan = self.replanner.plan(found)
         # What came in meanwhile is read before anything is asked for: the pilot may have taken the vehicle.
         control.until(control.session.now_s() + _CATCH_UP_S)
         control.gate = replace(control.gate, reaction_s=self.plan.reaction_s)
         control.recorder.save_plan(self.plan)
-        seen = "" if learnt.thrust_age_s is None else f", thrust {1e3 * learnt.thrust_age_s:.0f} ms after its command"
-        found = f"hover throttle {learnt.hover_throttle:.3f} at {learnt.voltage_v:.1f} V{seen}"
-        self._note(f"planned again for what was seen: {found}")
+        self._note(f"planned again for what was seen: {found.words}")
 
     def _reset(self, leg: Leg) -> reset.Arrived:
         world = self.control.gate.zone.to_world(leg.start_m)

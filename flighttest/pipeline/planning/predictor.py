@@ -5,6 +5,7 @@ The equations are those of `physics.model`; nothing is written twice.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
@@ -12,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import INPUTS
-from flighttest.flight.execution.response import Learnt
+from flighttest.flight.execution.response import Learnt, ThrottleTrace
+from flighttest.frames import G_M_S2
 from flighttest.physics.model import Model
 from flighttest.physics.stepping import SIDEWAYS, Forms, Stepping
-from flighttest.plan import Plan
+from flighttest.plan import AttitudeTarget, Plan
 from flighttest.plan.compile import compile_plan
 from flighttest.plan.model import Policy, PredictedMotion, Snapshot, Trail
 
@@ -24,6 +26,9 @@ IntArray = NDArray[np.intp]
 
 # What the coarse steps of a rehearsal can follow.
 SHORTEST_LAG_S = 0.025
+
+# The step on which a prior's own curvature is looked at: of the hover throttle, halves of the time, s.
+_SEEN_AT, _SEEN_FOR_S, _SEEN_DT_S = (0.6, 1.7), 1.0, 0.01
 
 _POSITION = ("p_x_m", "p_y_m", "p_z_m")
 _VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
@@ -71,8 +76,29 @@ class ModelPredictor:
         """From sending a throttle to its mean effect, s."""
         return float(self._delays_s.get("thrust", self.delay_s)) + self.thrust_lag_s
 
-    def corrected(self, hover_throttle: float, voltage_v: float, thrust_age_s: float | None = None) -> ModelPredictor:
-        """The same vehicle with the hover throttle seen at a voltage, V, and the mean age of its thrust, s (None: as it was).
+    def curvature(self, voltage_v: float) -> float:
+        """Of thrust over throttle, as `ThrottleTrace` would see it on this vehicle: from a sinking step to a climbing one."""
+        hover = float(self.hover_throttle(np.array([voltage_v]))[0])
+        trace, (low, high) = ThrottleTrace(hover), _SEEN_AT
+
+        def throttle(t_s: float) -> float:
+            return hover * (low if t_s < _SEEN_FOR_S / 2 else high)
+
+        flown = self.fly(
+            np.array([[0.0, 0.0, 20.0]]), np.zeros(1), np.array([voltage_v]),
+            lambda now: np.array([[0.0, 0.0, 0.0, throttle(now.t_s)]]), _SEEN_FOR_S, _SEEN_DT_S,
+        )  # fmt: skip
+        for t_s, place, speed in zip(flown.t_s, flown.p_m[0], flown.v_m_s[0], strict=True):
+            trace.sent(float(t_s), AttitudeTarget(float(t_s), 0.0, 0.0, 0.0, throttle(float(t_s))))
+            trace.seen(float(t_s), float(speed[2]), float(place[2]))
+        seen = trace.thrust()
+        return seen.curvature if seen is not None else 0.0
+
+    def corrected(
+        self, hover_throttle: float, voltage_v: float, thrust_age_s: float | None = None, curved: float = 0.0
+    ) -> ModelPredictor:
+        """The same vehicle with the hover throttle seen at a voltage, V, the mean age of its thrust, s (None: as it was), and so much more
+        curvature of thrust over throttle.
 
         What the age leaves beside the lag is delay, of every channel: they come over one link.
         """
@@ -82,7 +108,18 @@ class ModelPredictor:
             lag = min(self.thrust_lag_s, max(thrust_age_s, SHORTEST_LAG_S))
             delay = max(thrust_age_s - lag, 0.0)
             values |= {"sigma_t": 1.0 / lag, **{name: delay for name in values if name.startswith("T_d")}}
-        return ModelPredictor(self.model, values)
+        model = self.model
+        if curved:
+            model = model if "curvature" in values else model.with_terms("throttle_curve")
+            # The term counts r = T K / g from the hover at nominal voltage: r (1 + c (r - 1)) v is the thrust in weights, v what the
+            # voltage makes of it. What is seen counts from the hover at this voltage, r = s: the curvature there is c s^2 v.
+            c, s = values.get("curvature", 0.0), now * self.values["K"] / G_M_S2
+            v = 1.0 / (s * (1.0 + c * (s - 1.0)))
+            bounds, seen = model.param["curvature"], c * s * s * v + curved
+            s = (1.0 - seen + math.sqrt((1.0 - seen) ** 2 + 4.0 * v * seen)) / (2.0 * v)
+            values["curvature"] = float(np.clip(seen / (s * s * v), bounds.lower, bounds.upper))
+            values["K"] = s * G_M_S2 / hover_throttle
+        return ModelPredictor(model, values)
 
     def fly(
         self,
@@ -209,6 +246,8 @@ class ModelPredictor:
 # Below these, start heights and durations change by less than the gate's slack.
 HOVER_CHANGE = 0.04
 AGE_CHANGE_S = 0.03
+# Of 26 throttle steps of two scripts at 25 V, planned for straight thrust, none is refused at a curvature of 0.03, four are at 0.04.
+CURVATURE_CHANGE = 0.03
 
 
 class ScriptReplanner:
@@ -217,15 +256,32 @@ class ScriptReplanner:
     def __init__(self, plan: Plan, prior: ModelPredictor) -> None:
         self._plan = plan
         self._prior = prior
+        self._curvature = prior.curvature(plan.vehicle.nominal_voltage_v)
 
     def due(self, learnt: Learnt) -> bool:
-        """Whether hover throttle or age differ from the prior's by more than the plan can bear."""
+        """Whether hover throttle, age or curvature differ from the prior's by more than the plan can bear."""
         expected = float(self._prior.hover_throttle(np.array([learnt.voltage_v]))[0])
         if abs(learnt.hover_throttle / expected - 1.0) > HOVER_CHANGE:
             return True
-        return learnt.thrust_age_s is not None and abs(learnt.thrust_age_s - self._prior.thrust_age_s) > AGE_CHANGE_S
+        return self._late(learnt) is not None or bool(self._curved(learnt))
 
     def plan(self, learnt: Learnt) -> Plan:
         """The script compiled with the corrected prior, which becomes the one that is compared with."""
-        self._prior = self._prior.corrected(learnt.hover_throttle, learnt.voltage_v, learnt.thrust_age_s)
+        curved = self._curved(learnt)
+        # Seen in few legs it is sure to no more than that; and more of it makes climbs and descents both stronger, which is the safe side.
+        planned = curved + CURVATURE_CHANGE if curved else 0.0
+        self._prior = self._prior.corrected(learnt.hover_throttle, learnt.voltage_v, self._late(learnt), planned)
+        self._curvature += curved
         return compile_plan(self._plan.script, self._plan.vehicle, self._prior)
+
+    def _late(self, learnt: Learnt) -> float | None:
+        """The age of the thrust that was seen, None where the plan can bear how it differs: by as much an age is seen too low."""
+        seen = learnt.thrust_age_s
+        return seen if seen is not None and abs(seen - self._prior.thrust_age_s) > AGE_CHANGE_S else None
+
+    def _curved(self, learnt: Learnt) -> float:
+        """By how much the thrust was seen to be more curved than the prior's; 0 where the plan can bear it."""
+        if learnt.curvature is None:
+            return 0.0
+        change = learnt.curvature - self._curvature
+        return change if abs(change) > CURVATURE_CHANGE else 0.0
