@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from flighttest.validity.battery import check_resistance
@@ -87,7 +87,8 @@ def assess(
         verdict = ValidityVerdict.STALE
         sides = (matched.before, matched.after) if matched is not None else (stored, runs[-1]) if runs else None
         sentence = _stale(changes, alarms, crossed, tests, sides, appeared)
-        fly, narrow = ALL_SCRIPTS, _narrow(changes, alarms, crossed)
+        if changes or alarms or crossed or not all(a.unseen for a in appeared):
+            fly, narrow = ALL_SCRIPTS, _narrow(changes, alarms, crossed)
     elif new.doubtful:
         verdict, sentence, fly = ValidityVerdict.UNKNOWN, _doubtful(new.doubtful), ("spot_check",)
     elif tests or (vehicle_fingerprint is not None and same_parts(model_fingerprint, vehicle_fingerprint)):
@@ -231,9 +232,14 @@ def _stale(
         words = "; ".join(t.sentence for t in alarms)
         words += f"; {', '.join(still)} as before" if still else ""
         parts.append(words + _culprit(alarms, sides))
-    if appeared:
-        names = ", ".join(a.title[:1].lower() + a.title[1:] for a in appeared)
-        parts.append(f"the new recording shows what the model does not have: {names}")
+    new, unseen = _names(a for a in appeared if not a.unseen), _names(a for a in appeared if a.unseen)
+    if new:
+        parts.append(f"the new recording shows what the model does not have: {new}")
+    if unseen:
+        parts.append(
+            f"the new recording shows what the model lacks: {unseen}. Its own flights could not have shown that, so nothing need have "
+            "changed on the vehicle; diagnose this recording together with those flights, and accept the model that comes out"
+        )
     if crossed and not alarms:
         parts.append(
             "slow drift: "
@@ -243,6 +249,10 @@ def _stale(
         )
     later = [part[:1].upper() + part[1:] for part in parts[1:]]
     return f"Stale: {'. '.join([*parts[:1], *later])}."
+
+
+def _names(appeared: Iterable[Appeared]) -> str:
+    return ", ".join(a.title[:1].lower() + a.title[1:] for a in appeared)
 
 
 def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | None) -> str:

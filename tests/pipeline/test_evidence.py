@@ -190,6 +190,34 @@ def test_an_effect_that_came_makes_the_model_stale():
     assert "New: R2_m2 of 0.1." in str(status_document(found, {}, (), brief=True).sections)
 
 
+def test_what_the_models_flights_could_not_have_shown_is_not_said_to_be_new():
+    model = stored()
+    same = estimates(model, model.model.names)
+    old = Appeared("reference_shaping", "Reference shaping", "shaping_tc of 0.15 s", True)
+    new = Appeared("ground_effect", "Ground effect", "R2_m2 of 0.1", False)
+
+    def answer(*appeared):
+        evidence = RecordingEvidence(runs=[same], appeared=appeared)
+        return assess(model_fingerprint={}, vehicle_fingerprint=None, stored=same, new=evidence)
+
+    found = answer(old)
+    assert found.verdict is ValidityVerdict.STALE, "the model does not describe what was flown"
+    assert "what the model lacks: reference shaping" in found.sentence
+    assert (
+        "nothing need have changed on the vehicle; diagnose this recording together with those flights"
+        in found.sentence
+    )
+    assert not found.fly, "the flights are there"
+    page = str(status_document(found, {}, (), brief=True).sections)
+    assert "Not seen before: shaping_tc of 0.15 s." in page
+    assert "New: " not in page
+    both = answer(old, new)
+    assert (
+        "does not have: ground effect. The new recording shows what the model lacks: reference shaping" in both.sentence
+    )
+    assert both.fly
+
+
 def looked_for(model, hidden, found=()):
     """A diagnosis that looked for the whole catalogue. hidden: term to whether its channels were recorded."""
     others = [t for t in catalogue() if t not in (*model.terms, *hidden, *found)]

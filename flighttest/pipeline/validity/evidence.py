@@ -117,7 +117,7 @@ def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
         level = smallest.get(f.term) if isinstance(smallest, Mapping) else None
         unseen = f.term in (stored.diagnosed.get("untestable") or ())
         before = (
-            "the model's own flights could not have shown it"
+            "not seen before, since the model's own flights could not have shown it: it may be as old as they are"
             if unseen
             else f"the model's own flights showed none, and would have from {level:.2g} on"
             if isinstance(level, int | float) and math.isfinite(level)

@@ -61,8 +61,10 @@ def status_document(
         sections.append(_changes(found, brief))
     if found.tests:
         sections.append(_tests(found) if brief else _tests_in_full(found))
-    if found.appeared:
-        sections.append(_listed("appeared", "New", tuple(a.sentence for a in found.appeared), brief))
+    for title, unseen in (("New", False), ("Not seen before", True)):
+        listed = tuple(a.sentence for a in found.appeared if a.unseen is unseen)
+        if listed:
+            sections.append(_listed("unseen" if unseen else "appeared", title, listed, brief))
     if found.not_seen:
         sections.append(_not_seen(found.not_seen, brief))
     if found.impact:
