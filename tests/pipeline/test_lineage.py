@@ -85,6 +85,17 @@ def test_a_model_that_is_in_use_is_not_accepted_again(call, tmp_path):
     assert len(lineage.lineage_of(out, "heron").generations) == 2
 
 
+def test_a_model_diagnosed_again_to_the_same_values_takes_the_place_of_the_older_file(tmp_path):
+    out, first, second = tmp_path / "runs", write_model(tmp_path / "one"), write_model(tmp_path / "two")
+    data = yaml.safe_load((second / "model.yaml").read_text())
+    (second / "model.yaml").write_text(yaml.safe_dump({**data, "diagnosed": {"untestable": ["ground_effect"]}}))
+    lineage.take_into_use(first, out)
+    whole, made = lineage.take_into_use(second, out)
+    assert lineage.in_use(out, "heron").diagnosed == {"untestable": ["ground_effect"]}
+    assert (made.number, made.source) == (1, str(second))
+    assert lineage.lineage_of(out, "heron") == whole
+
+
 def test_an_accepted_model_comes_with_the_command_for_its_twin(call, tmp_path):
     out = tmp_path / "runs"
     (out / "flown").mkdir(parents=True)

@@ -146,8 +146,8 @@ def in_use(out: Path, vehicle: str = "") -> ModelFile:
 
 def take_into_use(path: Path, out: Path, vehicle: Path | None = None) -> tuple[Lineage, Generation]:
     """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use. InputError where the vehicle is not known
-    or another one's, or where the model determines less than the one in use, of an unchanged vehicle and without its flights. The model
-    that is in use already stays so."""
+    or another one's, or where the model determines less than the one in use, of an unchanged vehicle and without its flights. A model
+    with the values of the one in use takes its place, under its number."""
     if not path.exists():
         raise InputError(
             f"{path}: there is no such model or folder", "name what `flighttest diagnose -o` or `run` wrote"
@@ -170,7 +170,11 @@ def take_into_use(path: Path, out: Path, vehicle: Path | None = None) -> tuple[L
     if last is not None and before.current is not None:
         old = model_file.read(before.current)
         if (old.runs, old.values, old.fingerprint) == (stored.runs, stored.values, stored.fingerprint):
-            return before, last
+            # Diagnosed again, it may hold more beside its values (what its flights could have shown): the newest is the one in use.
+            again = replace(last, accepted=now, source=str(path))
+            whole = Lineage(name, before.folder, (*generations[:-1], again))
+            _write(whole, stored, again)
+            return whole, again
         made = replace(
             made,
             joined=tuple(t for t in made.terms if t not in last.terms),
