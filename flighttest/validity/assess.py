@@ -231,7 +231,7 @@ def _stale(
         still = list(dict.fromkeys(t.subset for t in tests if t.subset not in moved))
         words = "; ".join(t.sentence for t in alarms)
         words += f"; {', '.join(still)} as before" if still else ""
-        parts.append(words + _culprit(alarms, sides))
+        parts.append(words + _culprit(alarms, sides, tests))
     new, unseen = _names(a for a in appeared if not a.unseen), _names(a for a in appeared if a.unseen)
     if new:
         parts.append(f"the new recording shows what the model does not have: {new}")
@@ -255,7 +255,15 @@ def _names(appeared: Iterable[Appeared]) -> str:
     return ", ".join(a.title[:1].lower() + a.title[1:] for a in appeared)
 
 
-def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | None) -> str:
+def _drag_would_show(alarms: Sequence[SubsetTest], tests: Sequence[SubsetTest]) -> bool:
+    """Whether drag, which more mass divides as it does thrust, was tested for a change as large as that of thrust."""
+    change = max((abs(t.shifts["K"][0]) for t in alarms if "K" in t.shifts), default=0.0)
+    return any(least < change for t in tests if t.subset == "drag" for least in t.detectable.values())
+
+
+def _culprit(
+    alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | None, tests: Sequence[SubsetTest]
+) -> str:
     moved = {t.subset for t in alarms}
     if _lag_alone(alarms):
         return (
@@ -264,7 +272,8 @@ def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | 
     if (motors := next((t for t in alarms if t.subset == SUBSET), None)) is not None:
         return f": {culprit(motors)}"
     if "thrust" in moved and "attitude" not in moved:
-        what = thrust_or_mass_words(*sides) if sides is not None else "thrust or mass"
+        known = sides is not None and _drag_would_show(alarms, tests)
+        what = thrust_or_mass_words(*sides) if sides is not None and known else "thrust or mass"
         words = {
             "thrust or mass": "less or more thrust (propellers, motors, battery), or another mass: this flight cannot distinguish them",
             "thrust": "propellers, motors or battery, and not the mass",

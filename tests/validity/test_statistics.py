@@ -310,6 +310,22 @@ def test_a_slower_thrust_is_not_called_less_thrust():
         assert ("another mass (weigh it)" in found.could_also_be) is not lag
 
 
+@pytest.mark.parametrize(("differs", "known"), [(0.005, True), (0.08, False)])
+def test_a_mass_is_excluded_only_by_a_drag_that_would_show_it(differs, known):
+    """Thrust per throttle had fallen by 7.5 %, "and not the mass", where drag was tested for changes of 20 % and more."""
+    names = ("K", "d_x", "d_z")
+    values, covariance = np.array([50.0, 0.4, 0.5]), np.diag((0.003 * np.array([50.0, 0.4, 0.5])) ** 2)
+    stored, new = (
+        Estimates("m", names, values, covariance),
+        Estimates("r", names, values * [0.925, 1.0, 1.0], covariance),
+    )
+    spread = {"K": 0.005, "d_x": differs, "d_z": differs}
+    seen = RecordingEvidence(runs=[new], spread=spread)
+    said = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=stored, new=seen).sentence
+    assert ("and not the mass" in said) is known, said
+    assert ("cannot distinguish them" in said) is not known
+
+
 def test_what_like_steps_do_not_tell_the_estimates_are_asked_for():
     """Like steps determined d_z alone and best: that d_x had risen by 22 % went by."""
     names = ("d_x", "d_z")
