@@ -186,7 +186,7 @@ def _unknown(compared: str) -> str:
 def _doubtful(mismatch: str) -> str:
     return (
         f"Unknown: {mismatch[:1].lower() + mismatch[1:].rstrip('.')}. It may be an effect that the model does not have, or gusts: "
-        "no step was flown twice. Fly the spot check again, and give both recordings."
+        "no step was flown twice. Fly the spot check again, and give both recordings to `flighttest status`."
     )
 
 
