@@ -144,10 +144,15 @@ class Model:
         """Throttle that holds height at these voltages, V, of their shape: with what hangs below and whatever else pulls in still air."""
         return self.hover(values, voltage_v).throttle.reshape(np.shape(voltage_v))
 
+    def hover_throttle_of_body(self, values: Mapping[str, float], voltage_v: ArrayLike) -> NDArray[np.float64]:
+        """Throttle that carries the weight of the body alone at these voltages, V, of their shape: g / (K (U / U_n)^alpha)."""
+        ratio = np.asarray(voltage_v, dtype=float) / self.nominal_voltage_v
+        return np.asarray(self.g_m_s2 / (values["K"] * ratio ** values["alpha"]))
+
     def hover(self, values: Mapping[str, float], voltage_v: ArrayLike) -> AtRest:
         """Throttle and states at rest in the air, level, at n voltages, V. values: all parameters by name."""
         volts, places = np.unique(np.asarray(voltage_v, dtype=float).ravel(), return_inverse=True)
-        alone = self.g_m_s2 / (values["K"] * (volts / self.nominal_voltage_v) ** values["alpha"])
+        alone = self.hover_throttle_of_body(values, volts)
         p = np.array([values[name] for name in self.system.params])
         found = self._rest.at(p, volts, alone, self.g_m_s2)
         return AtRest(found.throttle[places], found.states[:, places])

@@ -10,12 +10,12 @@ import numpy as np
 
 from flighttest.diagnose.model import TermVerdict, Verdict
 from flighttest.diagnose.records import DiagnosisData, ParameterRow
+from flighttest.estimation.uncertainty.distributions import NORMAL_95
 from flighttest.frames import G_M_S2
 from flighttest.physics.catalogue import catalogue
 from flighttest.proof.cases import Case
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
 
-NORMAL_95 = 1.96
 BASE = "base"  # what `Outcome.values` calls the model that every diagnosis starts from
 
 

@@ -7,12 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
+from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
 from flighttest.diagnose.selection.comparison import (
     LEVEL,
-    Evidence,
     Fitted,
-    evidence_of,
     log_evidence,
     log_odds_asked,
     rows_in_noise_of,
@@ -25,24 +23,14 @@ from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.physics.core import Term
 
 
-def full_evidence_of(
-    term: Term,
-    fitted: Fitted,
-    without: Fitted,
-    estimator: Estimator,
-    groups: IntArray,
-    floor: NoiseFloor,
-    candidates: int,
-) -> Evidence:
-    """`evidence_of`, and of a term that is needed by it whether it may be nothing all the same."""
-    found = evidence_of(term, fitted, without, estimator, groups, floor, candidates)
-    if found.why_not:
-        return found
+def may_be_nothing(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:
+    """Why a term that is needed beside the rest of a fitted model may be nothing all the same, empty where it is something. without: the
+    model fitted without it."""
     alone = undriven(term, fitted, without, estimator, groups)
     if alone:
-        return replace(found, nothing=alone)
+        return alone
     before, after = (rows_in_noise_of(fitted, one, estimator).residual for one in (without, fitted))
-    return replace(found, nothing=may_be_absent(term, fitted, float(before @ before - after @ after), estimator))
+    return may_be_absent(term, fitted, float(before @ before - after @ after), estimator)
 
 
 def undriven(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:

@@ -31,13 +31,13 @@ from flighttest.estimation.estimator import Estimator, finite
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
 from flighttest.estimation.problem import Noise, kinds_of
 from flighttest.estimation.responses import zero_order_hold
+from flighttest.estimation.uncertainty.distributions import NORMAL_95
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
 PROBABILITY = 0.99  # a name is given above it; reliability is measured on the frozen bench (docs/proof.md)
 LEVEL = 0.05  # of the likelihood ratio test of a term, that of the intervals printed beside its name
-NORMAL_95 = 1.96  # two-sided 95 % quantile of the standard normal distribution
 LEAST_FLOORS = 0.7  # noise floors: half their power. Below it a vehicle counts as clean (design of the sealed trials)
 
 

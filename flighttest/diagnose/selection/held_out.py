@@ -223,6 +223,11 @@ class HeldOut:
     floor: float
     gain_95: tuple[float, float]
 
+    @property
+    def above_floor(self) -> bool:
+        """Whether one of the two models misses the channel by more than its noise floor."""
+        return max(self.rmse_before, self.rmse_after) > self.floor
+
 
 def gains_held_out(
     before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, seed: int = 0

@@ -19,12 +19,13 @@ import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
-from flighttest.diagnose.selection.absence import full_evidence_of
+from flighttest.diagnose.selection.absence import may_be_nothing
 from flighttest.diagnose.selection.candidates import Candidate, candidates_at, null_value
 from flighttest.diagnose.selection.comparison import (
     LEAST_FLOORS,
     Evidence,
     Fitted,
+    evidence_of,
     log_evidence,
 )
 from flighttest.diagnose.selection.held_out import FEWEST_GROUPS, gains_held_out, groups_moved
@@ -155,8 +156,7 @@ class Search:
         before, after = self.base.held_out(self.groups), self.now.held_out(self.groups)
         if 0 < groups_moved(before, after, self.groups, self.floor, LEAST_FLOORS) < FEWEST_GROUPS:
             return  # each term was tested by itself
-        every = gains_held_out(before, after, self.groups, self.floor).values()
-        gains = [g for g in every if max(g.rmse_before, g.rmse_after) > g.floor]
+        gains = [g for g in gains_held_out(before, after, self.groups, self.floor).values() if g.above_floor]
         better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
         if better > worse:
             return
@@ -253,13 +253,13 @@ class Search:
         """Of a term of a fitted model; kept."""
         assert self.floor is not None
         without, key = self.without(term, fitted), (term, self._members(fitted))
-        if key in self._found:
-            of, evidence = self._found[key]
-            if of is fitted and evidence.without is without:
-                return evidence
-        evidence = full_evidence_of(
-            self.terms[term], fitted, without, self.estimator, self.groups, self.floor, len(self.pool)
-        )
+        of, known = self._found.get(key, (None, None))
+        if known is not None and of is fitted and known.without is without:
+            return known
+        tried = self.terms[term]
+        evidence = evidence_of(tried, fitted, without, self.estimator, self.groups, self.floor, len(self.pool))
+        if not evidence.why_not:
+            evidence = replace(evidence, nothing=may_be_nothing(tried, fitted, without, self.estimator, self.groups))
         self._found[key] = fitted, evidence
         return evidence
 

@@ -9,6 +9,8 @@ import math
 
 from scipy import special
 
+NORMAL_95 = 1.96  # two-sided 95 % quantile of the standard normal distribution
+
 
 def quantile(p: float, dof: float) -> float:
     """The value that a Student-t variable stays below with probability p."""

@@ -9,7 +9,7 @@ from flighttest.diagnose import Diagnosis, Finding, Located, Verdict
 from flighttest.diagnose.selection.comparison import log_odds_asked
 from flighttest.diagnose.selection.detectability import POWER
 from flighttest.errors import FitError
-from flighttest.estimation.uncertainty.distributions import quantile
+from flighttest.estimation.uncertainty.distributions import NORMAL_95, quantile
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
@@ -170,7 +170,7 @@ def _too_small_to_tell(named: Finding, stored: ModelFile) -> str:
     unit = f" {sizes[0].unit}" if sizes[0].unit != "1" else ""
     if not abs(rows[name]["value"]) < may_be[name]:
         return ""
-    size, most = f"{rows[name]['value']:.2g} ± {1.96 * rows[name]['std']:.2g}{unit}", f"{may_be[name]:.2g}{unit}"
+    size, most = f"{rows[name]['value']:.2g} ± {NORMAL_95 * rows[name]['std']:.2g}{unit}", f"{may_be[name]:.2g}{unit}"
     return (
         f"whether {named.term} came: {name} is {size}, and one of up to {most} may have been in the model's own flights without showing; "
         "`flighttest diagnose` of both together describes it"

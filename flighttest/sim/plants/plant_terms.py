@@ -73,8 +73,7 @@ class TermsPlant:
         delays = dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
         self.delays = Delays(*(max(delays.get(c, 0.0), 0.0) for c in ("attitude", "yaw_rate", "thrust")))
         # Of the body alone: the vehicle's parameters show it, and nothing of what is concealed.
-        ratio = self.battery.voltage / model.nominal_voltage_v
-        self.hover_throttle = model.g_m_s2 / (values["K"] * ratio ** values["alpha"])
+        self.hover_throttle = float(model.hover_throttle_of_body(values, self.battery.voltage))
         self._index = {name: i for i, name in enumerate(system.states)}
         self._inputs = tuple(system.inputs)
         self._start = np.array([system.initial.get(name, 0.0) for name in system.states])
