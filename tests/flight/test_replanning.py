@@ -9,7 +9,7 @@ from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.execution.leg_order import REFUSED_CELL_MAX
 from flighttest.flight.execution.response import Learnt, ThrottleTrace, ThrustSeen, hover_off, learnt
 from flighttest.pipeline.planning.checking import predictor_for
-from flighttest.pipeline.planning.predictor import CURVATURE_CHANGE, ScriptReplanner
+from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.plan import AttitudeTarget
 from flighttest.plan.compile import compile_plan
 from flighttest.recording.store import open_run
@@ -32,9 +32,15 @@ repeat: {each: 2, order: sequential}
 
 
 def trace_of(
-    age_s: float, lag_s: float, damping_1_s: float, tilt_rad: float = 0.0, step: float = 0.3, curvature: float = 0.0
+    age_s: float,
+    lag_s: float,
+    damping_1_s: float,
+    tilt_rad: float = 0.0,
+    step: float = 0.3,
+    curvature: float = 0.0,
+    noise_m_s: float = 0.0,
 ) -> ThrottleTrace:
-    """Throttle 0.1 for 0.4 s, then a step, on a vehicle that hovers at 0.18, heard at 50 Hz."""
+    """Throttle 0.1 for 0.4 s, then a step, on a vehicle that hovers at 0.18, heard at 50 Hz with so much noise of the climb rate."""
     trace, dt = ThrottleTrace(0.18, angle_boost=True), 0.001
     climb = height = thrust = 0.0
     throttles = {k: 0.1 if k * dt < 0.4 else step for k in range(1200)}
@@ -46,7 +52,7 @@ def trace_of(
         height += dt * climb
         if k % 20 == 0:
             trace.sent(k * dt, AttitudeTarget(k * dt, tilt_rad, 0.0, 0.0, throttles[k]))
-            trace.seen(k * dt, climb, 5.0 + height)
+            trace.seen(k * dt, climb + noise_m_s * (-1) ** (k // 20), 5.0 + height)
     return trace
 
 
@@ -75,6 +81,13 @@ def test_how_thrust_grows_with_throttle_is_seen_through_drag(curvature: float) -
     assert not tilted.weight
 
 
+def test_a_leg_that_fits_better_than_climb_rates_are_heard_is_not_trusted_more() -> None:
+    clean, noisy = (trace_of(0.08, 0.0, 0.5, noise_m_s=noise).thrust() for noise in (0.0, 0.02))
+    assert clean is not None
+    assert noisy is not None
+    assert clean.weight / noisy.weight == pytest.approx(2.0, rel=0.2)
+
+
 def test_a_leg_that_shows_the_curvature_better_counts_more() -> None:
     good, poor = ThrustSeen(0.05, 0.3, 400.0), ThrustSeen(0.07, -0.5, 4.0)
     both = learnt(0.18, 24.0, [good, poor])
@@ -92,7 +105,8 @@ def test_a_plan_follows_how_thrust_grows_with_throttle() -> None:
     as_assumed = float(prior.hover_throttle(np.array([24.0]))[0])
     own = prior.curvature(24.0)
     assert own == pytest.approx(0.0, abs=0.05)
-    assert not replanner.due(Learnt(as_assumed, 24.0, None, own + CURVATURE_CHANGE - 0.005))
+    assert not replanner.due(Learnt(as_assumed, 24.0, None, own + 0.025))
+    assert replanner.due(Learnt(as_assumed, 24.0, None, own + 0.035)), "four of 26 steps are refused at 0.04"
     seen = Learnt(as_assumed, 24.0, None, own + 0.25)
     assert replanner.due(seen)
     new = replanner.plan(seen)

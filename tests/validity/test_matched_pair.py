@@ -125,6 +125,11 @@ def test_a_record_longer_than_the_models_own_is_compared_as_far_as_these_go(stor
     )
     (part,) = matched_pair.as_long_as(kept, [left])
     assert part.seconds == pytest.approx(0.4, abs=0.02), "a command that parts earlier is another step from there on"
+    for held_s, ends_s in ((0.5, 0.4), (0.42, kept[0].seconds)):
+        (part,) = matched_pair.as_long_as([replace(s, held_s=held_s) for s in kept], [left])
+        assert (part.seconds == pytest.approx(0.4, abs=0.02)) is (ends_s == 0.4), (
+            "0.1 s apart, and as far as targets are"
+        )
     unknown = replace(longer[0], kind="roll_step")
     assert matched_pair.as_long_as(kept, [unknown]) == (unknown,), "of a kind that was not flown nothing is known"
     old = [replace(s, seconds=float("nan")) for s in kept]
