@@ -46,9 +46,8 @@ def single_shooting(block: Block, outputs: tuple[str, ...], k: int) -> ca.Functi
         ca.SX.sym("d", len(block.disturbances)),
     )
     n_u, n_e = len(block.inputs), len(block.exogenous)
-    node = ca.SX.sym("node", 2 + n_u + 2 * n_e)
-    u, e0, e1 = node[2 : 2 + n_u], node[2 + n_u : 2 + n_u + n_e], node[2 + n_u + n_e :]
-    h = node[0] + node[1] * block.delay_s(p)
+    node = ca.SX.sym("node", 1 + n_u + 2 * n_e)
+    h, u, e0, e1 = node[0], node[1 : 1 + n_u], node[1 + n_u : 1 + n_u + n_e], node[1 + n_u + n_e :]
     after, _, _ = rk4_stages(lambda x, e: block.function(x, p, u, e, d)[0], x, h, (e0, 0.5 * (e0 + e1), e1))
     y = block.function(after, p, u, e1, d)[1][[block.outputs.index(n) for n in outputs]]
     step = ca.Function("step", [x, p, d, node], ca.cse([after, y]))
@@ -77,7 +76,7 @@ def ipopt_single_shooting(problem: Problem, limit_s: float) -> tuple[float, bool
     for j, (node, _) in enumerate(rows):
         nodes[j, : len(node)] = node
         nodes[j, len(node) :] = node[-1]
-        nodes[j, len(node) :, :2] = 0.0
+        nodes[j, len(node) :, 0] = 0.0
     free = [n for n in part.block.params if not n.startswith("T_d")]
     p, local = ca.MX.sym("p", len(free)), ca.MX.sym("l", len(part.locals), m)
     p_full = ca.vertcat(*(p[free.index(n)] if n in free else problem.values[n] for n in part.block.params))

@@ -238,7 +238,7 @@ def max_step_s(block: Block, values: Mapping[str, float]) -> float:
 class Nodes:
     """Nodes of m responses, one response after the other.
 
-    rows (N, n_data): [h0, hd, u, e start, e end]; first (m + 1,): where each response begins; sample (n_samples,): node of each sample;
+    rows (N, n_data): [h, u, e start, e end]; first (m + 1,): where each response begins; sample (n_samples,): node of each sample;
     first_sample (m + 1,): where the samples of each response begin.
     """
 
@@ -265,7 +265,7 @@ class Nodes:
             which = np.flatnonzero(buckets == bucket)
             at = np.minimum(np.arange(bucket), lengths[which, None] - 1)
             stacked = self.rows[self.first[which, None] + at]
-            stacked[np.arange(bucket) >= lengths[which, None], :2] = 0.0
+            stacked[np.arange(bucket) >= lengths[which, None], 0] = 0.0
             stacked.flags.writeable = False
             ends = zip(self.first_sample[which], self.first_sample[which + 1], self.first[which], strict=True)
             found.append((which, stacked, [self.sample[a:b] - begin for a, b, begin in ends]))
@@ -292,7 +292,7 @@ class Stacked:
         return cls(joined[0], joined[1], joined[2], joined[3], samples, changes)
 
     def nodes(self, delay_s: float, step_s: float = MAX_STEP_S) -> Nodes:
-        """For a delay. The piece of a row ends at its node: h = h0 + hd * delay exactly, also for derivatives by the delay."""
+        """For a delay. The piece of a row ends at its node."""
         of_sample, of_edge = (
             np.repeat(np.arange(first.size - 1), np.diff(first)) for first in (self.first_sample, self.first_edge)
         )
@@ -302,14 +302,12 @@ class Stacked:
         times, of = np.concatenate([self.t_s, moved[inside]]), np.concatenate([of_sample, of_edge[inside]])
         order = np.lexsort((times, of))
         times, of = times[order], of[order]
-        constant = np.concatenate([self.t_s, self.edges_s[inside]])[order]
         is_edge = order >= self.t_s.size
         sample = np.flatnonzero(~is_edge)
         begin = sample[self.first_sample[:-1]]
 
-        h, h0, hd = (np.diff(one, prepend=one[0]) for one in (times, constant, is_edge.astype(float)))
-        for one in (h, h0, hd):
-            one[begin] = 0.0
+        h = np.diff(times, prepend=times[0])
+        h[begin] = 0.0
         e = self._interpolated(times, is_edge)
         # Counted, not looked up: an edge that falls on a sample time still parts an old input from a new one.
         earlier = np.bincount(of_edge[moved <= begins[of_edge]], minlength=begin.size)
@@ -325,11 +323,11 @@ class Stacked:
             a, b = share / pieces[which, None], (share + 1) / pieces[which, None]
             old, new = e[before][which], e[which]
             e0, e1 = old * (1 - a) + new * a, old * (1 - b) + new * b
-            h0, hd, at = (h0 / pieces)[which], (hd / pieces)[which], at[which]
+            h, at = (h / pieces)[which], at[which]
             sample, begin = after[sample] - 1, after[begin] - 1
         else:
             e0, e1 = e[before], e
-        rows = np.concatenate([h0[:, None], hd[:, None], self.values[at], e0, e1], axis=1)
+        rows = np.concatenate([h[:, None], self.values[at], e0, e1], axis=1)
         return Nodes(rows, np.append(begin, len(rows)), sample, self.first_sample)
 
     def _interpolated(self, times: FloatArray, is_edge: NDArray[np.bool_]) -> FloatArray:

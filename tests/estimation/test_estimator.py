@@ -18,8 +18,8 @@ from flighttest.identify.selection import able
 from tests.diagnose.flight import TRUE, Step, campaign, fly
 
 FREE = ("sigma_t", "K", "d_z", "T_d_thrust")
-# Nodes of the integration move with a delay, which its sensitivity leaves out.
-SHARP = {"sigma_t": 1e-5, "K": 1e-5, "d_z": 1e-5, "T_d_thrust": 1e-3}
+# By a delay the derivative is that of the continuous solution, which RK4 steps of 25 ms follow to a thousandth.
+SHARP = {"sigma_t": 1e-5, "K": 1e-5, "d_z": 1e-5, "T_d_thrust": 3e-3}
 
 
 @pytest.fixture(scope="module")

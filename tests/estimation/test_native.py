@@ -125,9 +125,9 @@ def test_the_last_edge_counts_where_the_first_one_lies_inside():
         0, t, np.zeros((50, 1)), np.array([0.105, 0.505]), np.array([[0.2], [0.4]]), np.empty((50, 0)), t[:1], t[:1]
     )
     nodes = Stacked.of([response]).nodes(0.1)
-    assert nodes.rows[nodes.sample[-1], 2] == 0.4
-    assert nodes.rows[nodes.sample[20], 2] == 0.2
-    assert nodes.rows[0, 2] == 0.2
+    assert nodes.rows[nodes.sample[-1], 1] == 0.4
+    assert nodes.rows[nodes.sample[20], 1] == 0.2
+    assert nodes.rows[0, 1] == 0.2
 
 
 def test_an_operation_that_is_not_known_is_refused():

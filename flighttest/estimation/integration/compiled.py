@@ -42,9 +42,8 @@ def chain(block: Block, middles: bool) -> ca.Function:
     """(x, p, d, nodes) to the states after each of `CHAIN` pieces, those in the middle below them: (n_x or 2 n_x, CHAIN)."""
     x, p, _, _, d = _symbols(block)
     n_u, n_e = len(block.inputs), len(block.exogenous)
-    node = ca.SX.sym("node", 2 + n_u + 2 * n_e)
-    u, e0, e1 = node[2 : 2 + n_u], node[2 + n_u : 2 + n_u + n_e], node[2 + n_u + n_e :]
-    h = node[0] + node[1] * block.delay_s(p)
+    node = ca.SX.sym("node", 1 + n_u + 2 * n_e)
+    h, u, e0, e1 = node[0], node[1 : 1 + n_u], node[1 + n_u : 1 + n_u + n_e], node[1 + n_u + n_e :]
     after, k1, k4 = rk4_stages(lambda x, e: block.function(x, p, u, e, d)[0], x, h, (e0, 0.5 * (e0 + e1), e1))
     # The state in the middle of the piece, from states and rates at both ends (Hermite): filters see the output bend.
     middle = [0.5 * (x + after) + h / 8 * (k1 - k4)] if middles else []
@@ -58,6 +57,26 @@ def chain(block: Block, middles: bool) -> ca.Function:
         at = parts[0]
         rows.append(ca.vertcat(*parts))
     return ca.Function(f"{block.name}_states", [start, p, d, nodes], [ca.horzcat(*rows)])
+
+
+def fed_states(block: Block) -> list[int]:
+    """States whose rate depends on an input."""
+    arguments = _symbols(block)
+    rates, _ = block.function(*arguments)
+    return [i for i in range(len(block.states)) if ca.depends_on(rates[i], arguments[2])]
+
+
+def late_parameters(block: Block) -> list[str]:
+    """Parameters that the delay of the inputs depends on."""
+    symbol = ca.SX.sym("p", len(block.params))
+    delay = block.delay_s(symbol)
+    return [n for i, n in enumerate(block.params) if ca.depends_on(delay, symbol[i])]
+
+
+def rate_of(block: Block) -> Vectorised:
+    """Rates of the states, of x, p, u, e, d."""
+    arguments = _symbols(block)
+    return Vectorised(ca.Function("rate", arguments, [ca.densify(ca.cse(block.function(*arguments)[0]))]))
 
 
 def observed(block: Block, outputs: tuple[str, ...]) -> Vectorised:

@@ -9,14 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-
-from flighttest.physics.vectorised import Vectorised
 
 FloatArray = NDArray[np.float64]
 
@@ -59,7 +55,7 @@ class Butterworth:
         """
         out = np.empty_like(y[0])
         for members, w in self._alike():
-            made, _ = self._values(lag, [v[members] for v in y], w, members, h, shape)
+            made = self._values(lag, [v[members] for v in y], w, members, h, shape)
             out[members] = made[:, :, 0].reshape(-1, len(members)).T
         return out
 
@@ -69,25 +65,17 @@ class Butterworth:
         y: Sequence[FloatArray],
         dy: Sequence[FloatArray],
         h: FloatArray,
-        dh: FloatArray,
         shape: tuple[int, int],
     ) -> tuple[FloatArray, FloatArray]:
-        """The same with derivatives (n, n_filters, n_columns), given those of the outputs and, (n, n_columns), of the lengths."""
+        """The same with derivatives (n, n_filters, n_columns), given those of the outputs."""
         out, d_out = np.empty_like(y[0]), np.empty_like(dy[0])
-        moved = np.flatnonzero(dh.any(axis=0))
         for members, w in self._alike():
             ends = [v[members] for v in y]
-            values, before = self._values(lag, ends, w, members, h, shape)
+            values = self._values(lag, ends, w, members, h, shape)
             out[members] = values[:, :, 0].reshape(-1, len(members)).T
             forced = forced_response(
                 w, (dy[0][:, members], dy[1][:, members], dy[2][:, members]), _safe(h)[:, None, None]
             )
-            if moved.size:
-                was = before.reshape(-1, 2, len(members))
-                arguments = [*(v.T.ravel() for v in ends), was[:, 0].ravel(), was[:, 1].ravel()]
-                by_h = self._slopes_by_length[w]([*arguments, np.repeat(_safe(h), len(members))])
-                for force, slope in zip(forced, by_h, strict=True):
-                    force[..., moved] += slope.reshape(-1, len(members), 1) * dh[:, None, moved]
             force = np.stack(forced, axis=1).reshape(*shape, 2, -1)
             matrix = _matrix(w, h).reshape(*shape, 2, 2)
             dz = lag.dz[:, :, members].reshape(shape[1], 2, -1)
@@ -102,8 +90,8 @@ class Butterworth:
 
     def _values(
         self, lag: Lag, y: Sequence[FloatArray], w: float, members: list[int], h: FloatArray, shape: tuple[int, int]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Filter states after and before each piece, (pieces, responses, 2, members); moves them on."""
+    ) -> FloatArray:
+        """Filter states after each piece, (pieces, responses, 2, members); moves them on."""
         force = np.stack([f.T for f in forced_response(w, (y[0], y[1], y[2]), _safe(h))], axis=1).reshape(*shape, 2, -1)
         matrix = _matrix(w, h).reshape(*shape, 2, 2)
         made = np.empty((shape[0] + 1, *force.shape[1:]))
@@ -112,12 +100,7 @@ class Butterworth:
             np.matmul(matrix[i], made[i], out=made[i + 1])
             made[i + 1] += force[i]
         lag.z[:, :, members] = made[-1]
-        return made[1:], made[:-1]
-
-    @cached_property
-    def _slopes_by_length(self) -> dict[float, Vectorised]:
-        """`_by_length` by the angular frequency of each filter, rad/s."""
-        return {w: _by_length(w) for _, w in self._alike()}
+        return made[1:]
 
     def _alike(self) -> list[tuple[list[int], float]]:
         """Filters of one cut-off, and its angular frequency, rad/s."""
@@ -155,12 +138,3 @@ def forced_response(w: float, y: tuple[Any, Any, Any], h: Any, lib: Any = np) ->
     b = u1 - 2.0 * lag * u2
     a = y0 - 2.0 * u2 / w**2 - lag * b
     return a + b * h + u2 * h**2 - e11 * a - e12 * b, b + 2.0 * u2 * h - e21 * a - e22 * b
-
-
-def _by_length(w: float) -> Vectorised:
-    """Derivative of a filter's state after a piece by the piece's length: of rows (y0, ym, y1, z, z_dot, h), (2, n)."""
-    y0, ym, y1, z, z_dot, h = symbols = [ca.SX.sym(n) for n in ("y0", "ym", "y1", "z", "z_dot", "h")]
-    e11, e12, e21, e22 = free_response(ca, w, h)
-    forced = forced_response(w, (y0, ym, y1), h, ca)
-    after = ca.vertcat(forced[0] + e11 * z + e12 * z_dot, forced[1] + e21 * z + e22 * z_dot)
-    return Vectorised(ca.Function("by_length", [ca.vertcat(*symbols)], [ca.densify(ca.cse(ca.jacobian(after, h)))]))

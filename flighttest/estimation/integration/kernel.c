@@ -51,7 +51,6 @@ typedef struct {
 
 typedef struct {
     int64_t m, n_data, n, slopes;
-    double delay;
     const double *p, *local, *nodes, *delay_slope;
     const uint8_t *mask;
     const int64_t *first, *target, *order;
@@ -202,24 +201,25 @@ static void forced(const pace *at, const lanes *y0, const lanes *ym, const lanes
     *rate = b + 2.0 * u2 * h - at->e21 * a - at->e22 * b;
 }
 
-/* Derivative of (output, rate) after a piece by the piece's length. */
-static void by_length(const pace *at, const lanes *y0, const lanes *ym, const lanes *y1, const lanes *z, lanes *by_z, lanes *by_rate) {
-    const double w2 = at->w * at->w, lag = at->lag;
-    const lanes h = at->h, bend = *ym - 0.5 * (*y0 + *y1), u2 = -4.0 * bend / (h * h), u1 = (*y1 - *y0) / h + 4.0 * bend / h;
-    const lanes b = u1 - 2.0 * lag * u2, a = *y0 - 2.0 * u2 / w2 - lag * b;
-    const lanes d2 = -2.0 * u2 / h, db = -u1 / h - 2.0 * lag * d2, da = -2.0 * d2 / w2 - lag * db;
-    /* d exp(A h) / dh = A exp(A h) */
-    const lanes d21 = -w2 * at->e11 - lag * w2 * at->e21, d22 = -w2 * at->e12 - lag * w2 * at->e22;
-    *by_z = da + db * h + b + d2 * h * h + 2.0 * u2 * h - at->e21 * a - at->e11 * da - at->e22 * b - at->e12 * db + at->e21 * z[0] +
-            at->e22 * z[1];
-    *by_rate = db + 2.0 * d2 * h + 2.0 * u2 - d21 * a - at->e21 * da - d22 * b - at->e22 * db + d21 * z[0] + d22 * z[1];
-}
-
 static void start(machine *now, const block *of, const task *todo, const lanes *d) {
     for (int64_t i = 0; i < of->n_p; i++) EACH now->w[of->n_x + i][l] = todo->p[i];
     memcpy(now->w + of->n_x + of->n_p + of->n_u + of->n_e, d, of->n_d * sizeof(lanes));
     execute(now->of, now->w, 0, now->of->by_parameters);
     now->fresh = 0;
+}
+
+/* What the derivatives of the states by the delay jump by where inputs change: a later edge keeps the rate of before for longer. */
+static void pass_edge(
+    machine *alone, const block *of, const task *todo, const lanes *x, const lanes *before, const lanes *after, lanes *jump, lanes *slope
+) {
+    evaluate(alone, of, x, before);
+    for (int64_t i = 0; i < of->n_x; i++) jump[i] = RESULT(*alone, i);
+    evaluate(alone, of, x, after);
+    for (int64_t i = 0; i < of->n_x; i++) {
+        jump[i] -= RESULT(*alone, i);
+        for (int64_t c = 0; c < of->n_c; c++)
+            if (todo->delay_slope[c] != 0.0) slope[i * of->n_c + c] += todo->delay_slope[c] * jump[i];
+    }
 }
 
 static lanes *taken(lanes **from, int64_t count) {
@@ -232,22 +232,18 @@ static lanes *taken(lanes **from, int64_t count) {
 int integrate(const block *of, const task *todo) {
     const int64_t n_x = of->n_x, n_c = todo->slopes ? of->n_c : 0, n_y = of->n_y, n_s = of->n_u + of->n_e, wide = n_x * n_c;
     const int64_t n_local = of->n_started + of->n_d, seen = n_y * n_c;
-    int filters = 0, moved_count = 0;
+    int filters = 0, moved = 0;
     for (int64_t o = 0; o < n_y; o++) filters += of->filter[o] != 0.0;
     const program *f = n_c ? &of->rate : &of->rate_alone, *g = n_c ? &of->output : &of->output_alone;
-    const int64_t room = f->slots + g->slots + 6 * n_s + 8 * n_x + of->n_d + 6 * wide + 3 * seen + 5 * n_y + 2 * seen + 64;
+    const int64_t room = f->slots + g->slots + of->rate_alone.slots + 8 * n_s + 9 * n_x + of->n_d + 6 * wide + 5 * n_y + 5 * seen + 64;
     lanes *memory = aligned_alloc(sizeof(lanes), room * sizeof(lanes));
-    int32_t *moved = malloc((of->n_c + 1) * sizeof(int32_t));
-    if (!memory || !moved) {
-        free(memory);
-        free(moved);
-        return 1;
-    }
+    if (!memory) return 1;
     memset(memory, 0, room * sizeof(lanes));
-    for (int32_t c = 0; c < n_c; c++)
-        if (todo->delay_slope[c] != 0.0) moved[moved_count++] = c;
+    for (int64_t c = 0; c < n_c; c++) moved |= todo->delay_slope[c] != 0.0;
     lanes *from = memory;
     machine rate = {f, taken(&from, f->slots), taken(&from, n_s), 0}, output = {g, taken(&from, g->slots), taken(&from, n_s), 0};
+    machine alone = {&of->rate_alone, taken(&from, of->rate_alone.slots), taken(&from, n_s), 0};
+    lanes *before = taken(&from, n_s), *jump = taken(&from, n_x);
     lanes *at_start = taken(&from, n_s), *at_middle = taken(&from, n_s), *at_end = taken(&from, n_s), *d = taken(&from, of->n_d);
     lanes *x = taken(&from, n_x), *ahead = taken(&from, n_x), *k = taken(&from, n_x), *total = taken(&from, n_x);
     lanes *first_k = taken(&from, n_x), *after = taken(&from, n_x), *middle = taken(&from, n_x);
@@ -273,28 +269,36 @@ int integrate(const block *of, const task *todo) {
             for (int64_t i = 0; i < of->n_started; i++) EACH slope[of->started[i] * n_c + of->n_free + i][l] = 1.0;
         start(&rate, of, todo, d);
         start(&output, of, todo, d);
+        start(&alone, of, todo, d);
 
         for (int64_t step = 0; step < longest; step++) {
-            lanes h, hd;
-            int still = 1, reported = 0;
+            lanes h;
+            int still = 1, reported = 0, changed = 0;
             int64_t target[LANES];
             EACH {
                 const int within = step < count[l];
                 const int64_t row = todo->first[who[l]] + (within ? step : count[l] - 1);
                 const double *node = todo->nodes + row * todo->n_data;
-                h[l] = within ? node[0] + node[1] * todo->delay : 0.0;
-                hd[l] = within ? node[1] : 0.0;
+                h[l] = within ? node[0] : 0.0;
                 target[l] = within && group + l < todo->m ? todo->target[row] : -1;
                 reported |= target[l] >= 0;
-                still &= h[l] == 0.0 && hd[l] == 0.0;
-                for (int64_t i = 0; i < of->n_u; i++) at_start[i][l] = node[2 + i];
+                still &= h[l] == 0.0;
+                for (int64_t i = 0; i < of->n_u; i++) {
+                    before[i][l] = step ? at_start[i][l] : node[1 + i];
+                    at_start[i][l] = node[1 + i];
+                    changed |= before[i][l] != at_start[i][l];
+                }
                 for (int64_t i = 0; i < of->n_e; i++) {
-                    at_start[of->n_u + i][l] = node[2 + of->n_u + i];
-                    at_end[of->n_u + i][l] = node[2 + of->n_u + of->n_e + i];
+                    at_start[of->n_u + i][l] = node[1 + of->n_u + i];
+                    at_end[of->n_u + i][l] = node[1 + of->n_u + of->n_e + i];
                 }
             }
             for (int64_t i = 0; i < of->n_u; i++) at_end[i] = at_middle[i] = at_start[i];
             for (int64_t i = of->n_u; i < n_s; i++) at_middle[i] = 0.5 * (at_start[i] + at_end[i]);
+            if (changed && moved) {
+                memcpy(before + of->n_u, at_start + of->n_u, of->n_e * sizeof(lanes));
+                pass_edge(&alone, of, todo, x, before, at_start, jump, slope);
+            }
             if (filters) { /* outputs at the start of the piece */
                 evaluate(&output, of, x, at_start);
                 for (int64_t o = 0; o < n_y; o++) y0[o] = RESULT(output, o);
@@ -312,14 +316,11 @@ int integrate(const block *of, const task *todo) {
                     const lanes *tangent = slope;
                     if (stage && n_c) {
                         tangent = d_ahead;
-                        for (int64_t i = 0; i < n_x; i++) {
+                        for (int64_t i = 0; i < n_x; i++)
                             for (int32_t j = of->active_first[i]; j < of->active_first[i + 1]; j++) {
                                 const int64_t at = i * n_c + of->active[j];
                                 d_ahead[at] = slope[at] + part * d_k[at];
                             }
-                            for (int j = 0; j < moved_count; j++)
-                                d_ahead[i * n_c + moved[j]] += share * todo->delay_slope[moved[j]] * hd * k[i];
-                        }
                     }
                     evaluate(&rate, of, ahead, stage == 0 ? at_start : stage == 3 ? at_end : at_middle);
                     for (int64_t i = 0; i < n_x; i++) {
@@ -357,15 +358,9 @@ int integrate(const block *of, const task *todo) {
                     if (!n_c) continue;
                     for (int32_t j = of->active_first[i]; j < of->active_first[i + 1]; j++) {
                         const int64_t at = i * n_c + of->active[j];
-                        const lanes before = slope[at];
+                        const lanes begun = slope[at];
                         slope[at] += sixth * d_total[at];
-                        if (filters) d_middle[at] = 0.5 * (before + slope[at]) + eighth * (d_first_k[at] - d_k[at]);
-                    }
-                    for (int j = 0; j < moved_count; j++) {
-                        const int64_t at = i * n_c + moved[j];
-                        const lanes longer = todo->delay_slope[moved[j]] * hd, added = longer / 6.0 * total[i];
-                        slope[at] += added;
-                        if (filters) d_middle[at] += 0.5 * added + longer / 8.0 * (first_k[i] - k[i]);
+                        if (filters) d_middle[at] = 0.5 * (begun + slope[at]) + eighth * (d_first_k[at] - d_k[at]);
                     }
                 }
                 memcpy(x, after, n_x * sizeof(lanes));
@@ -400,16 +395,6 @@ int integrate(const block *of, const task *todo) {
                     tangent[1] = at.e21 * tangent[0] + at.e22 * tangent[1] + turned;
                     tangent[0] = first;
                 }
-                if (moved_count && n_c) {
-                    lanes by_z, by_rate, longer = hd;
-                    by_length(&at, y0 + o, ym + o, y1 + o, own, &by_z, &by_rate);
-                    EACH if (!(h[l] > SHORTEST_S)) longer[l] = 0.0;
-                    for (int j = 0; j < moved_count; j++) {
-                        lanes *tangent = dz + 2 * (o * n_c + moved[j]);
-                        tangent[0] += todo->delay_slope[moved[j]] * longer * by_z;
-                        tangent[1] += todo->delay_slope[moved[j]] * longer * by_rate;
-                    }
-                }
                 forced(&at, y0 + o, ym + o, y1 + o, &added, &turned);
                 const lanes first = at.e11 * own[0] + at.e12 * own[1] + added;
                 own[1] = at.e21 * own[0] + at.e22 * own[1] + turned;
@@ -433,6 +418,5 @@ int integrate(const block *of, const task *todo) {
         }
     }
     free(memory);
-    free(moved);
     return 0;
 }

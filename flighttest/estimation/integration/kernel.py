@@ -1,8 +1,10 @@
 """One block of the model integrated over many responses at once, with exact derivatives of what is integrated.
 
 A response is a row of nodes: sample times and delayed input edges, merged (see `estimation.responses`). Between nodes inputs are constant,
-so one RK4 step per node is smooth in the state, the parameters and the delay: h = h0 + hd * delay(p) is the piece's length, with hd = +1
-for a piece that ends at an edge, -1 for one that starts there.
+so one RK4 step per node is smooth in the state and the parameters. Of the delay the derivative is that of the continuous solution: where
+inputs change from u to v, that of the state jumps by f(x, u) - f(x, v), since a later edge keeps the old rate for longer. (Nodes that move
+with the delay would take the measured signals along, which are functions of time and not of the delay.) No output depends on an input
+directly.
 
 Where a C compiler is at hand this is done by `kernel.c`, else in numpy, in three passes. The states are stepped through time by a compiled
 chain, one response after the other. Once they are known every piece can be differentiated by itself: the four stages of all pieces at once,
@@ -20,12 +22,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.integration.compiled import CHAIN, Slopes, chain, differentiated, observed
+from flighttest.estimation.integration.compiled import CHAIN, Slopes, chain, differentiated, observed, rate_of
 from flighttest.estimation.integration.filters import Butterworth
 from flighttest.estimation.integration.native import library
 from flighttest.estimation.integration.native_block import NativeBlock, NodeRows
 from flighttest.estimation.responses import Nodes
 from flighttest.physics.blocks import Block
+from flighttest.physics.vectorised import Vectorised
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -52,7 +55,7 @@ class Kernel:
         self.free = tuple(n for n in self.free if n in block.params)
         self.locals = (*(f"{n}(0)" for n in block.free_states), *block.disturbances)
         self.n_columns = len(self.free) + len(self.locals)
-        self.n_data = 2 + len(block.inputs) + 2 * len(block.exogenous)
+        self.n_data = 1 + len(block.inputs) + 2 * len(block.exogenous)
         self._n_x, self._n_free_x = len(block.states), len(block.free_states)
         self._filtered = [i for i, n in enumerate(self.outputs) if n in self.filters_hz]
         self._filters = Butterworth.of([self.filters_hz[self.outputs[i]] for i in self._filtered])
@@ -63,15 +66,14 @@ class Kernel:
     ) -> tuple[FloatArray, FloatArray]:
         """Simulate m responses over k nodes.
 
-        p: (n_params,) values of block.params; local: (m, n_local); nodes: (m, k, n_data) rows of [h0, hd, u, e at the start, e at the end].
+        p: (n_params,) values of block.params; local: (m, n_local); nodes: (m, k, n_data) rows of [h, u, e at the start, e at the end].
         Returns y (m, k, n_outputs) and dy (m, k, n_outputs, n_columns), the latter empty without sensitivities.
         """
         m, k, _ = nodes.shape
         if (native := self._native()) is not None:
             first, target = k * np.arange(m + 1), np.tile(np.arange(k), m)
-            return native.run(
-                p, local, NodeRows(nodes.reshape(m * k, -1), first, target), k, None, slopes=sensitivities
-            )
+            rows, slope = NodeRows(nodes.reshape(m * k, -1), first, target), self._delay_slope(p)
+            return native.run(p, local, rows, k, None, slope, slopes=sensitivities)
         y = np.empty((m, k, len(self.outputs)))
         dy = np.empty((m, k, len(self.outputs), self.n_columns if sensitivities else 0))
         # A trial step of a solver may diverge: its cost is then infinite, and it is refused.
@@ -89,7 +91,7 @@ class Kernel:
         m, n, n_y = mask.shape
         if (native := self._native()) is not None:
             rows = NodeRows(nodes.rows, nodes.first, nodes.target)
-            return native.run(p, local, rows, n, mask, slopes=sensitivities)
+            return native.run(p, local, rows, n, mask, self._delay_slope(p), slopes=sensitivities)
         y = np.zeros((m, n, n_y))
         dy = np.zeros((m, n, n_y, self.n_columns if sensitivities else 0))
         for which, stacked, samples in nodes.padded:
@@ -125,7 +127,7 @@ class Kernel:
         x, middle = flown.x, flown.middle
         data = np.ascontiguousarray(nodes.transpose(2, 1, 0))
         n_u, n_e = len(self.block.inputs), len(self.block.exogenous)
-        delay = float(self.block.delay_s(p))
+        before = np.concatenate([data[1 : 1 + n_u, :1], data[1 : 1 + n_u, :-1]], axis=1)
         begun = np.zeros((m, self._n_x, n_c))
         if n_c:
             begun[:, self._started, len(self.free) + np.arange(self._n_free_x)] = 1.0
@@ -135,10 +137,10 @@ class Kernel:
             size = of.shape[1] // m
             now = _Pieces(
                 p,
-                of[0] + of[1] * delay,
-                list(of[2 : 2 + n_u]),
-                list(of[2 + n_u : 2 + n_u + n_e]),
-                list(of[2 + n_u + n_e :]),
+                of[0],
+                list(of[1 : 1 + n_u]),
+                list(of[1 + n_u : 1 + n_u + n_e]),
+                list(of[1 + n_u + n_e :]),
                 list(np.tile(local[:, self._n_free_x :].T, (1, size))),
                 x[:, pieces].reshape(self._n_x, -1),
                 x[:, pieces.start + 1 : pieces.stop + 1].reshape(self._n_x, -1),
@@ -154,7 +156,7 @@ class Kernel:
                     made[self._filtered] = self._filters.run(lag, [e[self._filtered] for e in ends], now.h, shape)
                 y[:, pieces] = made.reshape(-1, *shape).transpose(2, 1, 0)
                 continue
-            slopes, slope = self._sensitivities(now, of[1], slope, shape)
+            slopes, slope = self._sensitivities(now, list(before[:, pieces].reshape(n_u, -1)), slope, shape)
             made, d_made = self._report(now, now.x1, now.e1, slopes[1])
             if lag is not None and now.xm is not None and slopes[2] is not None:
                 first, d_first = self._report(now, now.x0, now.e0, slopes[0])
@@ -163,9 +165,8 @@ class Kernel:
                 tangents = [d[:, self._filtered] for d in (d_first, d_half, d_made)]
                 if pieces.start == 0:
                     self._filters.start_slopes(lag, tangents[0][:m])
-                longer = (of[1] * (now.h > self._filters.SHORTEST_S))[:, None] * self._delay_slope(p)
                 made[self._filtered], d_made[:, self._filtered] = self._filters.run_with_slopes(
-                    lag, values, tangents, now.h, longer, shape
+                    lag, values, tangents, now.h, shape
                 )
             y[:, pieces] = made.reshape(-1, *shape).transpose(2, 1, 0)
             dy[:, pieces] = d_made.reshape(*shape, *d_made.shape[1:]).swapaxes(0, 1)
@@ -246,37 +247,37 @@ class Kernel:
         return y, dy
 
     def _sensitivities(
-        self, now: _Pieces, hd: FloatArray, begun: FloatArray, shape: tuple[int, int]
+        self, now: _Pieces, u_before: list[FloatArray], begun: FloatArray, shape: tuple[int, int]
     ) -> tuple[tuple[FloatArray, FloatArray, FloatArray | None], FloatArray]:
-        """Derivatives of the states (n, n_x, n_columns) at the start, end and middle of each piece; the last ends (m, n_x, n_columns)."""
-        after, middle = self._pieces(now, hd)
+        """Derivatives of the states (n, n_x, n_columns) at the start, end and middle of each piece; the last ends (m, n_x, n_columns).
+        u_before: inputs of the piece before."""
+        after, middle = self._pieces(now)
         n_x, n_c = self._n_x, self.n_columns
         by_x, rest = after[..., :n_x].reshape(*shape, n_x, n_x), after[..., n_x:].reshape(*shape, n_x, n_c)
-        states = np.empty((shape[0] + 1, shape[1], n_x, n_c))
-        states[0] = begun
+        rate = self._rate()
+        kept, new = (rate(list(now.x0), now.p, u, now.e0, now.d) for u in (u_before, now.u))
+        jump = (kept - new).T.reshape(*shape, n_x, 1) * self._delay_slope(now.p)
+        starts, ends = np.empty((2, *shape, n_x, n_c))
         for i in range(shape[0]):
-            np.matmul(by_x[i], states[i], out=states[i + 1])
-            states[i + 1] += rest[i]
-        start, end = states[:-1].reshape(-1, n_x, n_c), states[1:].reshape(-1, n_x, n_c)
+            np.add(ends[i - 1] if i else begun, jump[i], out=starts[i])
+            np.matmul(by_x[i], starts[i], out=ends[i])
+            ends[i] += rest[i]
+        start, end = starts.reshape(-1, n_x, n_c), ends.reshape(-1, n_x, n_c)
         between = None if middle is None else middle[..., :n_x] @ start + middle[..., n_x:]
-        return (start, end, between), states[-1]
+        return (start, end, between), ends[-1]
 
-    def _pieces(self, now: _Pieces, hd: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    def _pieces(self, now: _Pieces) -> tuple[FloatArray, FloatArray | None]:
         """Of the state after each piece, and in its middle: derivatives by the state before it, then by the columns, (n, n_x, ...)."""
         slopes, n_x = self._slopes("x_dot"), self._n_x
         n, width = now.h.size, n_x + self.n_columns
         rows, columns = slopes.at
         inner = columns < n_x
         h = now.h[:, None, None]
-        # Of the piece's length by each column: only those that move the delay.
-        d_h = hd[:, None] * self._delay_slope(now.p)
-        moved = np.flatnonzero(d_h.any(axis=0))
-        d_h = d_h[:, None, moved]
         jacobian = np.zeros((n, n_x, n_x))
         every = np.arange(n_x)
         x, d_x = now.x0, np.empty((n, n_x, width))
         ks: list[tuple[FloatArray, FloatArray]] = []
-        total, d_total = np.zeros((n, n_x)), np.zeros((n, n_x, width))
+        d_total = np.zeros((n, n_x, width))
         em = now.em
         for weight, share, ahead, e in (
             (1.0, 0.0, 0.5, now.e0),
@@ -295,22 +296,17 @@ class Kernel:
                 d_k[:, :, :n_x] = jacobian
             d_k[:, rows[~inner], columns[~inner]] += entries[:, ~inner]
             ks.append((k.T, d_k))
-            total += weight * k.T
             if ahead:
                 np.multiply(d_k, ahead * h, out=d_x)
                 d_x[:, every, every] += 1.0
-                d_x[:, :, n_x + moved] += ahead * d_h * k.T[:, :, None]
             d_total += d_k if weight == 1.0 else weight * d_k
         after = d_total
         after *= h / 6.0
         after[:, every, every] += 1.0
-        after[:, :, n_x + moved] += d_h / 6.0 * total[:, :, None]
         if now.xm is None:
             return after, None
-        (first, d_first), (last, d_last) = ks[0], ks[-1]
-        middle = 0.5 * after + h / 8.0 * (d_first - d_last)
+        middle = 0.5 * after + h / 8.0 * (ks[0][1] - ks[-1][1])
         middle[:, every, every] += 0.5
-        middle[:, :, n_x + moved] += d_h / 8.0 * (first - last)[:, :, None]
         return after, middle
 
     def _delay_slope(self, p: FloatArray) -> FloatArray:
@@ -322,6 +318,14 @@ class Kernel:
         slope = np.asarray(made["delay"](p)).ravel()
         found = np.zeros(self.n_columns)
         found[: len(self.free)] = slope[[self.block.params.index(n) for n in self.free]]
+        return found
+
+    def _rate(self) -> Vectorised:
+        """Of the states."""
+        made = self.block.made
+        if "rate" not in made:
+            made["rate"] = rate_of(self.block)
+        found: Vectorised = made["rate"]
         return found
 
     def _slopes(self, what: str) -> Slopes:

@@ -10,11 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.integration.compiled import jacobian_of
+from flighttest.estimation.integration.compiled import fed_states, jacobian_of, late_parameters
 from flighttest.estimation.integration.native import Program, library
 from flighttest.physics.blocks import Block
 
@@ -48,7 +47,6 @@ class _Block(ctypes.Structure):
 class _Task(ctypes.Structure):
     _fields_ = (
         *((n, _COUNT) for n in ("m", "n_data", "n", "slopes")),
-        ("delay", ctypes.c_double),
         *((n, _AT) for n in ("p", "local", "nodes", "delay_slope", "mask", "first", "target", "order", "y", "dy")),
     )
 
@@ -83,7 +81,7 @@ class NativeBlock:
 
     def __init__(self, block: Block, outputs: tuple[str, ...], free: tuple[str, ...], hz: Mapping[str, float]) -> None:
         self._kept: list[Any] = []  # what the structure points at
-        self._block, self._free = block, free
+        self._block = block
         n_x, started = len(block.states), [block.states.index(n) for n in block.free_states]
         self.n_columns = len(free) + len(started) + len(block.disturbances)
         self.n_outputs = len(outputs)
@@ -92,12 +90,9 @@ class NativeBlock:
             for columns in (free, None)
             for what in ("x_dot", "y")
         )
-        symbol = ca.SX.sym("p", len(block.params))
-        delay = block.delay_s(symbol)
-        late = [free.index(n) for i, n in enumerate(block.params) if n in free and ca.depends_on(delay, symbol[i])]
-        self._slope = ca.Function("delay_slope", [symbol], [delay, ca.densify(ca.jacobian(delay, symbol))])
+        late = [free.index(n) for n in late_parameters(block) if n in free]
         active = np.zeros((n_x, self.n_columns), dtype=bool)
-        active[:, late] = True
+        active[np.ix_(fed_states(block), late)] = True
         active[started, len(free) + np.arange(len(started))] = True
         while True:
             reached = _reached(active, by_rate, n_x, n_x) | active
@@ -105,7 +100,6 @@ class NativeBlock:
                 break
             active = reached
         seen = _reached(active, by_output, n_x, len(outputs))
-        seen[:, late] = True
         initial = np.array([block.initial.get(n, 0.0) for n in block.states])
         programs = (rate, output, rate_alone, output_alone)
         groups = (block.states, block.params, block.inputs, block.exogenous, block.disturbances, outputs)
@@ -123,24 +117,20 @@ class NativeBlock:
         nodes: NodeRows,
         n: int,
         mask: NDArray[np.bool_] | None,
+        delay_slope: FloatArray,
         *,
         slopes: bool,
     ) -> tuple[FloatArray, FloatArray]:
         """Outputs (m, n, n_outputs) and, with slopes, derivatives (m, n, n_outputs, n_columns), 0 where masked.
 
-        n: samples of the longest response.
+        n: samples of the longest response; delay_slope (n_columns,): of the delay by each column.
         """
         first = nodes.first
         m = len(local)
-        delay, by_params = self._slope(p)
-        slope = np.zeros(self.n_columns)
-        slope[: len(self._free)] = np.asarray(by_params).ravel()[
-            [self._block.params.index(name) for name in self._free]
-        ]
         order = np.argsort(np.diff(first), kind="stable")
         y = np.zeros((m, n, self.n_outputs))
         dy = np.zeros((m, n, self.n_outputs, self.n_columns if slopes else 0))
-        arrays = [np.ascontiguousarray(a, dtype=float) for a in (p, local, nodes.rows)]
+        arrays = [np.ascontiguousarray(a, dtype=float) for a in (p, local, nodes.rows, delay_slope)]
         indices = [np.ascontiguousarray(a, dtype=np.int64) for a in (first, nodes.target)]
         counted = None if mask is None else np.ascontiguousarray(mask)
         kernel = library()
@@ -149,7 +139,7 @@ class NativeBlock:
         def integrate(mine: IndexArray) -> int:
             """Simulate some of the responses, which share nothing with others but what is read."""
             task = _Task(
-                mine.size, arrays[2].shape[1], n, int(slopes), float(delay), *(a.ctypes.data for a in (*arrays, slope)),
+                mine.size, arrays[2].shape[1], n, int(slopes), *(a.ctypes.data for a in arrays),
                 None if counted is None else counted.ctypes.data, *(a.ctypes.data for a in (*indices, mine, y, dy)),
             )  # fmt: skip
             return int(kernel.integrate(ctypes.byref(self._made), ctypes.byref(task)))
