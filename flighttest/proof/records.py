@@ -27,6 +27,8 @@ class NameRates(TypedDict):
     extra_names: Counted
     changes: Counted
     unchanged: Counted
+    wind_changes: Counted
+    wind_unchanged: Counted
 
 
 class Magnitudes(TypedDict):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from flighttest.identify.winds import WIND_TERM
 from flighttest.proof.cases import CaseKind, Generator
 from flighttest.proof.outcome import BASE, Outcome
 from flighttest.proof.records import Calibration, ConfusionRow, Counted, Magnitudes, Miss, NameRates, PowerRow, Scores
@@ -128,9 +129,16 @@ def _names(groups: Groups) -> NameRates:
         "outside_located": _count(seen, lambda o: o.located),
         # Of whatever size: a wrong name is wrong beside a small effect, too.
         "extra_names": _count(groups.hiding, wrong),
-        "changes": _count([o for o in groups.natural if o.hide], lambda o: o.named),
-        "unchanged": _count([o for o in groups.natural if not o.hide], lambda o: not o.named),
+        "changes": _count([o for o in groups.natural if o.hide], _as_known),
+        "unchanged": _count([o for o in groups.natural if not o.hide], _as_known),
+        "wind_changes": _count([o for o in groups.natural if o.hide and WIND_TERM in o.values], _as_known),
+        "wind_unchanged": _count([o for o in groups.natural if not o.hide and WIND_TERM in o.values], _as_known),
     }
+
+
+def _as_known(outcome: Outcome) -> bool:
+    """Whether what is said of a pair, a change or none, is what is known of it."""
+    return set(outcome.hide) == set(outcome.named)
 
 
 def _magnitudes(groups: Groups) -> Magnitudes:
@@ -226,7 +234,7 @@ def _misses(outcome: Outcome) -> Iterator[Miss]:
     """What should have been named and was not; what should not have been and was."""
     why = f"named {', '.join(outcome.named) or 'nothing'}"
     if outcome.kind == "natural":
-        missed = [("a change" if outcome.hide else "nothing", 0.0)] if bool(outcome.hide) != bool(outcome.named) else []
+        missed = [] if _as_known(outcome) else [("a change" if outcome.hide else "nothing", 0.0)]
     elif outcome.kind in ("single", "pair"):
         missed = [(e, s) for e, s in outcome.sizes.items() if s >= COUNTS and not right(outcome, e)]
     elif outcome.named:
@@ -308,8 +316,18 @@ def rates(s: Scores) -> list[tuple[str, str]]:
         ("physics outside the catalogue, wrongly named", s["outside_misnamed"], ""),
         ("physics outside the catalogue, located", s["outside_located"], ""),
         ("something named that was not hidden, where something was", s["extra_names"], ""),
-        ("pairs of campaigns in two states of the vehicle, flagged as changed", s["changes"], ""),
-        ("pairs of campaigns in one state, not flagged", s["unchanged"], ""),
+        (
+            "pairs of campaigns in two states of the vehicle, or of flights in two winds, flagged as changed",
+            s["changes"],
+            "",
+        ),
+        (
+            "of these, two flights in two winds that were measured, named with the right difference",
+            s["wind_changes"],
+            "",
+        ),
+        ("pairs of campaigns in one state, or of flights in one wind, not flagged", s["unchanged"], ""),
+        ("of these, two flights in one wind that was measured, no difference named", s["wind_unchanged"], ""),
         (
             "parameters of named effects inside their 95 % intervals",
             s["values_inside"],

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from flighttest.pipeline.recordings.sources import open_recording
+from flighttest.pipeline.recordings.sources import Reading, open_recording, open_recordings
+from flighttest.proof.recorded.sets import read_sets
 from flighttest.segments.airborne import flights
 
 
@@ -45,3 +46,25 @@ def test_an_imu_off_the_centre_of_mass_is_seen_alike_by_two_axes_in_two_parts_of
     half = 0.5 * (first + last)
     found = [*arms(recording, first + 2.0, half), *arms(recording, half, last - 2.0)]
     np.testing.assert_allclose(found, arm_m, atol=within)
+
+
+def test_the_fans_blow_along_the_axis_and_towards_the_side_that_is_declared(repository, shared_data):
+    """A vehicle that keeps its place on the average leans its thrust against the air: without any estimator."""
+    listed = read_sets(repository / "examples" / "recordings" / "public.yaml")
+    lean = {}
+    for one in (s for s in listed if s.wind_m_s is not None):
+        leans = []
+        for file in one.found(shared_data):
+            (flown,) = open_recordings([file], Reading(one.columns))
+            roll, pitch, yaw = (flown.channel(f"{a}_rad")[1] for a in ("roll", "pitch", "yaw"))
+            x = np.cos(yaw) * np.sin(pitch) * np.cos(roll) + np.sin(yaw) * np.sin(roll)
+            y = np.sin(yaw) * np.sin(pitch) * np.cos(roll) - np.cos(yaw) * np.sin(roll)
+            leans.append((np.nanmean(x), np.nanmean(y)))
+        lean[one.wind_m_s] = np.mean(leans, axis=0)
+    still = lean.pop((0.0, 0.0))
+    assert set(lean) == {(-4.2, 0.0), (-8.5, 0.0)}
+    for wind, leans in lean.items():
+        north, west = leans - still
+        assert north * wind[0] < 0.0
+        assert abs(west) < 0.1 * abs(north)
+    assert lean[-8.5, 0.0][0] - still[0] > 1.5 * (lean[-4.2, 0.0][0] - still[0])

@@ -15,6 +15,7 @@ from flighttest.proof.prove import ProofRequest, run_trials
 from flighttest.proof.recorded import cases, sets, trial
 from flighttest.proof.recorded.injection import inject
 from flighttest.proof.recorded.side_by_side import OracleVehicle
+from flighttest.proof.recorded.wind_pairs import CHANGED
 from flighttest.proof.scoreboard import score
 from flighttest.recording.model import Provenance, Recording, Series
 
@@ -168,9 +169,9 @@ def outcome(index, kind, hide=(), named=(), sizes=()):
 
 def test_pairs_of_campaigns_are_counted_by_their_flag_and_are_no_clean_trials():
     outcomes = [
-        outcome(0, "natural", [trial.CHANGED], [trial.CHANGED]),
-        outcome(1, "natural", [trial.CHANGED]),
-        outcome(2, "natural", [], [trial.CHANGED]),
+        outcome(0, "natural", [CHANGED], [CHANGED]),
+        outcome(1, "natural", [CHANGED]),
+        outcome(2, "natural", [], [CHANGED]),
         outcome(3, "natural"),
         outcome(4, "clean"),
     ]

@@ -13,8 +13,9 @@ import numpy as np
 
 from flighttest.errors import InputError
 from flighttest.proof.recorded.sets import RecordedSet
+from flighttest.proof.recorded.wind_pairs import Wind
 
-# Shares of trials: nothing added, one effect, two, and pairs of campaigns whose difference is known.
+# Shares of trials: nothing added, one effect, two, and pairs of campaigns, or of flights in two winds, whose difference is known.
 SHARES = (("clean", 0.35), ("single", 0.40), ("pair", 0.10), ("natural", 0.15))
 SIZE = (1.0, 8.0)  # noise floors that an effect shall have, drawn evenly in the logarithm
 MOST_FILES = 3
@@ -81,9 +82,10 @@ ADDED: Mapping[str, Added] = MappingProxyType(
 @dataclass(frozen=True)
 class RecordedCase:
     """One trial's truth. files: of the recordings diagnosed; earlier: of those that a `natural` pair compares them with, whose state
-    `differs` or not; order: in which effects are tried, until one (two in a pair) can be made large enough in these flights; sizes: noise
-    floors they shall have; signs: of signed effects; answer_1_s: as `side_by_side.Vehicle`; begin: where in a recording longer than
-    `PART_S` the part that is taken begins, as a share of what is left of it; data: folder that files are relative to."""
+    `differs` or not; winds: of `files`, (north, west), m/s, where their difference is asked for; order: in which effects are tried, until
+    one (two in a pair) can be made large enough in these flights; sizes: noise floors they shall have; signs: of signed effects;
+    answer_1_s: as `side_by_side.Vehicle`; begin: where in a recording longer than `PART_S` the part that is taken begins, as a share of
+    what is left of it; data: folder that files are relative to."""
 
     index: int
     seed: int
@@ -99,11 +101,17 @@ class RecordedCase:
     begin: float = 0.0
     earlier: tuple[str, ...] = ()
     differs: bool = False
+    winds: tuple[Wind, ...] = ()
     data: str = ""
 
     def truth(self) -> str:
         """As sealed: JSON with sorted keys. What is added follows from it and the recordings, wherever their folder is."""
-        return json.dumps({k: v for k, v in asdict(self).items() if k not in ("data", "columns")}, sort_keys=True)
+        left_out = (
+            "data",
+            "columns",
+            *(() if self.winds else ("winds",)),
+        )  # trials that are no pair of winds keep their hash
+        return json.dumps({k: v for k, v in asdict(self).items() if k not in left_out}, sort_keys=True)
 
     def sha256(self) -> str:
         """Of the truth: printed before the diagnosis starts."""
@@ -160,7 +168,10 @@ def _natural(
     rng: np.random.Generator,
 ) -> RecordedCase:
     """Two campaigns of one vehicle without a common flight: in one state, or in two."""
-    first = _one_of(known, rng)
+    source = str(rng.choice(sorted({s.source for s in known})))
+    first = _one_of([s for s in known if s.source == source], rng)
+    if first.wind_m_s is not None:
+        return _in_two_winds(seed, index, here, first, rng)
     others = [s for s in here if s.vehicle == first.vehicle and s.state != first.state]
     differs = bool(others) and bool(rng.random() < 0.5)
     if differs:
@@ -174,9 +185,30 @@ def _natural(
     return RecordedCase(index, seed, "natural", name, later, columns, first.own, earlier=earlier, differs=differs)
 
 
+def _in_two_winds(
+    seed: int, index: int, here: Mapping[RecordedSet, Sequence[str]], first: RecordedSet, rng: np.random.Generator
+) -> RecordedCase:
+    """Two flights of one vehicle, in one wind or in two, in an order that tells nothing."""
+    others = [
+        s
+        for s in here
+        if s.wind_m_s not in (None, first.wind_m_s) and (s.vehicle, s.state) == (first.vehicle, first.state)
+    ]
+    differs = bool(others) and bool(rng.random() < 0.5)
+    if differs:
+        flown = [(s, str(rng.choice(here[s]))) for s in (first, _one_of(others, rng))]
+    else:
+        flown = [(first, str(f)) for f in rng.choice(here[first], size=2, replace=False)]
+    return RecordedCase(
+        index, seed, "natural", " -> ".join(dict.fromkeys(s.name for s, _ in flown)), tuple(f for _, f in flown),
+        str(first.columns) if first.columns else None, first.own, differs=differs,
+        winds=tuple(s.wind_m_s for s, _ in flown if s.wind_m_s is not None),
+    )  # fmt: skip
+
+
 def _pairs(here: Mapping[RecordedSet, Sequence[str]]) -> list[RecordedSet]:
-    """Sets in a known state that have enough flights to be divided."""
-    return [s for s, files in here.items() if s.vehicle and s.state and len(files) >= 2]
+    """Sets in a known state or wind that have enough flights to be divided."""
+    return [s for s, files in here.items() if s.vehicle and (s.state or s.wind_m_s is not None) and len(files) >= 2]
 
 
 def _one_of(sets: Sequence[RecordedSet], rng: np.random.Generator) -> RecordedSet:

@@ -12,7 +12,8 @@ from flighttest.errors import InputError
 from flighttest.physics.catalogue import catalogue
 
 _KEYS = ("format", "sets")
-_SET = ("name", "source", "files", "columns", "own", "vehicle", "state")
+_SET = ("name", "source", "files", "columns", "own", "vehicle", "state", "wind_m_s")
+_MOST_WIND_M_S = 100.0
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,8 @@ class RecordedSet:
     """Recordings of one vehicle in one state. source: who made them (a trial draws the source first, then a set of it, then files);
     files: patterns relative to the folder of data; columns: their column map; own: terms that their documentation supports, which are
     no false alarm; vehicle, state: sets of one vehicle whose states differ are known to differ, those of one state not ('' where
-    nothing is documented)."""
+    nothing is documented); wind_m_s: velocity of the air, (north, west), by an instrument that the recordings are not of: sets of one
+    vehicle are known to differ in it."""
 
     name: str
     source: str
@@ -29,6 +31,7 @@ class RecordedSet:
     own: tuple[str, ...] = ()
     vehicle: str = ""
     state: str = ""
+    wind_m_s: tuple[float, float] | None = None
 
     def found(self, data: Path) -> tuple[Path, ...]:
         """Its files that are here."""
@@ -61,4 +64,12 @@ def _set(document: YamlDocument, node: Node, path: Path) -> RecordedSet | None:
     files = [document.text(f) or "" for f in document.items(keys["files"], "file names")]
     own = [document.choice(t, catalogue()) or "" for t in document.items(keys["own"], "terms")] if "own" in keys else []
     columns = document.text(keys["columns"]) if "columns" in keys else None
-    return RecordedSet(files=tuple(files), columns=path.parent / columns if columns else None, own=tuple(own), **words)
+    wind = document.vector(keys["wind_m_s"], 2, -_MOST_WIND_M_S, _MOST_WIND_M_S, "m/s") if "wind_m_s" in keys else None
+    if "wind_m_s" in keys and "vehicle" not in keys:
+        document.wrong(
+            keys["wind_m_s"], "flights in a known wind are compared by vehicle", "name the vehicle of this set"
+        )
+    return RecordedSet(
+        files=tuple(files), columns=path.parent / columns if columns else None, own=tuple(own),
+        wind_m_s=(wind[0], wind[1]) if wind else None, **words,
+    )  # fmt: skip

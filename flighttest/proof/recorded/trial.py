@@ -1,4 +1,4 @@
-"""One sealed trial on real recordings: add what was drawn, diagnose blind, open; or compare two campaigns."""
+"""One sealed trial on real recordings: add what was drawn, diagnose blind, open; or compare two campaigns, or two flights in winds."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from flighttest.proof.outcome import Outcome, judged_outcome
 from flighttest.proof.recorded.cases import ADDED, PART_S, Added, RecordedCase
 from flighttest.proof.recorded.injection import inject
 from flighttest.proof.recorded.side_by_side import Effects, OracleVehicle
+from flighttest.proof.recorded.wind_pairs import CHANGED, compared_values, named_change, wind_difference
 from flighttest.recording import Recording
 from flighttest.recording.model import Series
 from flighttest.segments import Segment, cut
 from flighttest.segments.airborne import flights
 from flighttest.validity.model import ValidityVerdict
 
-CHANGED = "change"  # what the flag of `status` is called among the names
 STEP_MARGIN_S = 0.5  # before a scripted step its commands hold already
 LEAST_SHARE = 0.5  # of the size asked for that an effect must reach to be the one
 MOST_DEPARTURE_M_S = 5.0  # of a velocity; beyond it the flight would have been another one
@@ -37,7 +37,9 @@ MOST_DEPARTURE_M_S = 5.0  # of a velocity; beyond it the flight would have been 
 def run_recorded(case: RecordedCase) -> Outcome:
     """Read the recordings, add what was drawn, diagnose what comes of it, then open the seal."""
     try:
-        return _compared(case) if case.kind == "natural" else _diagnosed(case)
+        if case.kind != "natural":
+            return _diagnosed(case)
+        return _in_two_winds(case) if case.winds else _compared(case)
     except FlighttestError as error:
         return Outcome(case.index, case.kind, case.sha256(), {}, error=error.message, truth=case.truth())
 
@@ -193,4 +195,19 @@ def _compared(case: RecordedCase) -> Outcome:
     return Outcome(
         case.index, case.kind, case.sha256(), {CHANGED: {}} if case.differs else {}, named=(CHANGED,) if flagged else (),
         verdict=found.value.verdict.name, cpu_s=used, wall_s=wall, truth=case.truth(),
+    )  # fmt: skip
+
+
+def _in_two_winds(case: RecordedCase) -> Outcome:
+    """Whether one diagnosis of two flights, which knows them by number only, distinguishes their winds."""
+    flown = tuple(replace(r, name=f"flight {k}") for k, r in enumerate(_read(case, case.files), 1))
+    wall, used = time.perf_counter(), _processor_s()
+    found = run_diagnosis(tuple(s for r in flown for s in cut(r)), flown, None, None).to_json()
+    wall, used = time.perf_counter() - wall, _processor_s() - used
+    first, second = case.winds
+    known = (second[0] - first[0], second[1] - first[1])
+    difference = wind_difference(found, [r.name for r in flown])
+    return Outcome(
+        case.index, case.kind, case.sha256(), {CHANGED: {}} if case.differs else {}, named=named_change(difference, known),
+        verdict=found["verdict"], values=compared_values(difference, known), cpu_s=used, wall_s=wall, truth=case.truth(),
     )  # fmt: skip
