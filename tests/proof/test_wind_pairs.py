@@ -42,7 +42,7 @@ def natural(listed, seed, count):
     return list(islice(drawn, count))
 
 
-def test_a_pair_of_winds_is_of_one_vehicle_in_an_order_that_tells_nothing(listed):
+def test_a_pair_of_winds_is_of_one_vehicle_in_a_drawn_order(listed):
     pairs = [c for c in natural(listed, 3, 200) if c.winds]
     assert all(len(c.files) == len(set(c.files)) == 2 and not c.earlier for c in pairs)
     assert all([SETS[f.split("/")[0]] for f in c.files] == list(c.winds) for c in pairs)
@@ -179,4 +179,4 @@ def test_a_flight_with_the_fans_and_one_without_are_distinguished_blind(reposito
     true, value, low, high = found.values["steady_wind"]["w_north"]
     assert true == 8.5
     assert low < value < high
-    assert set(seen) == {"flight 1", "flight 2"}  # no name of a file, which tells the wind
+    assert set(seen) == {"flight 1", "flight 2"}  # no name of a file, which states the wind

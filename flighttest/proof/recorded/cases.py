@@ -188,7 +188,7 @@ def _natural(
 def _in_two_winds(
     seed: int, index: int, here: Mapping[RecordedSet, Sequence[str]], first: RecordedSet, rng: np.random.Generator
 ) -> RecordedCase:
-    """Two flights of one vehicle, in one wind or in two, in an order that tells nothing."""
+    """Two flights of one vehicle, in one wind or in two, in an order that is drawn."""
     others = [
         s
         for s in here

@@ -199,7 +199,7 @@ def _compared(case: RecordedCase) -> Outcome:
 
 
 def _in_two_winds(case: RecordedCase) -> Outcome:
-    """Whether one diagnosis of two flights, which knows them by number only, distinguishes their winds."""
+    """Whether one diagnosis of two flights, which has them by number only, distinguishes their winds."""
     flown = tuple(replace(r, name=f"flight {k}") for k, r in enumerate(_read(case, case.files), 1))
     wall, used = time.perf_counter(), _processor_s()
     found = run_diagnosis(tuple(s for r in flown for s in cut(r)), flown, None, None).to_json()
