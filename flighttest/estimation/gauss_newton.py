@@ -1,4 +1,5 @@
-"""Damped Gauss-Newton (Levenberg 1944, Marquardt 1963) within bounds: the one step loop of every estimate.
+"""Damped Gauss-Newton (Levenberg 1944, Marquardt 1963) within bounds: the one step loop of every estimate. The damping follows the ratio of
+the decrease to what the quadratic model expects (Nielsen; Madsen, Nielsen & Tingleff 2004, Methods for Non-Linear Least Squares Problems).
 
 The loop works on an `Objective`: a sum of squares whose noise may be learned on the way and whose nuisance parameters are profiled out, so
 that only the parameters are seen here. Residuals are whitened: steps and tolerances are in standard errors.
@@ -19,7 +20,7 @@ BoolArray = NDArray[np.bool_]
 MAX_ITERATIONS = 40
 INSENSITIVE = 1e-4
 MAX_REJECTIONS = 9
-SHORT = 3.0  # standard errors
+LEAST_DAMPING = 1e-3  # of the Hessian scaled to a unit diagonal, at the start and after a step that was refused
 
 
 class FitStatus(Enum):
@@ -166,6 +167,11 @@ class _QuadraticModel(Generic[N]):
         sub = self.h[np.ix_(self.active, self.active)]
         return float(step[self.active] @ sub @ step[self.active])
 
+    def gain_ratio(self, step: FloatArray, lowered: float) -> float:
+        """How much a step lowered the cost, over what it lowers the quadratic model by; 1 where it lowers that one by nothing."""
+        expected = float(2.0 * self.g @ step - step @ self.h @ step)
+        return lowered / expected if expected > 0.0 else 1.0
+
     def small(self, step: FloatArray, tolerance: float) -> bool:
         """Whether a step is small against what the data can resolve."""
         return self.expected(step) <= tolerance**2 * max(self.active.size, 1)
@@ -182,7 +188,7 @@ def minimise(
 ) -> Minimum[P]:
     """The minimum reached from `start`, which lies within the bounds."""
     limits = tolerances or Tolerances()
-    now, damping, status, iteration, flat = start, 1e-3, FitStatus.MAX_ITERATIONS, 0, 0
+    now, damping, status, iteration, flat = start, LEAST_DAMPING, FitStatus.MAX_ITERATIONS, 0, 0
     if not start.finite:
         nothing = np.ones(start.theta.size, dtype=bool)
         return Minimum(start, FitStatus.DIVERGED, nothing, ~nothing, 0)
@@ -199,6 +205,7 @@ def minimise(
         lowered = quadratic.cost - new_cost
         flat = flat + 1 if lowered <= max(limits.cost * quadratic.cost, limits.decrease) else 0
         still = bool(quadratic.active.size) or objective.nuisance_settled(now, trial)
+        ratio = min(max(quadratic.gain_ratio(trial.theta - now.theta, lowered), 0.0), 1.0)
         now = trial
         near = quadratic.small(full_step, limits.step) or (flat > 0 and damping <= 1e-2) or flat >= limits.flat
         if limits.compared_with is not None:
@@ -208,7 +215,7 @@ def minimise(
         if still and near and settled and iteration >= least_iterations:
             status = FitStatus.CONVERGED
             break
-        damping = damping / 10.0 if damping > 1e-9 else 0.0
+        damping *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
     at_bound = space.at_bound(now.theta)
     if status is FitStatus.CONVERGED and at_bound.any():
         status = FitStatus.AT_BOUND
@@ -221,13 +228,13 @@ def _descend(
     """A point of no higher cost, its cost, and the damping that led there; None where no step found one."""
     for rejected in range(MAX_REJECTIONS):
         target = space.moved(now.theta, quadratic.step(damping))
-        # A short step is nearly always kept, and its Jacobian with it; of others the residuals come first, which cost less than half.
-        at_once = not rejected and bool(quadratic.active.size) and quadratic.small(target - now.theta, SHORT)
-        trial = objective.stepped(now, target, quadratic.nuisance, 1.0 / (1.0 + damping), differentiated=at_once)
+        # The first step is kept in seven of ten cases or more, its Jacobian with it; of others the residuals come first: less than half.
+        first = not rejected
+        trial = objective.stepped(now, target, quadratic.nuisance, 1.0 / (1.0 + damping), differentiated=first)
         cost = objective.cost(trial)
         if trial.finite and np.isfinite(cost) and cost <= quadratic.cost * (1 + 1e-9) + 1e-9:
-            kept = trial if at_once else objective.refreshed(trial)
+            kept = trial if first else objective.refreshed(trial)
             if kept.finite:
                 return kept, cost, damping
-        damping = max(damping * 10.0, 1e-3)
+        damping = max(damping, LEAST_DAMPING) * 2.0 ** (rejected + 1)
     return None, np.inf, damping

@@ -46,6 +46,7 @@ class Scripted(Search):
     finds: dict = field(default_factory=dict)
     refits: list = field(default_factory=list)
     asked: list = field(default_factory=list)
+    models: list = field(default_factory=list)
     lacking: bool = False
     bare: tuple = ()  # terms without a linear coefficient
     bent: tuple = ()  # terms with nonlinear parameters beside them
@@ -80,7 +81,13 @@ class Scripted(Search):
         return made
 
     def _evidence(self, term, found):
-        self.asked.append(term)
+        if not any(of is found and t == term for t, of in self.models):
+            self.asked.append(term)
+        self.models.append((term, found))
+        return self.known(term, found)
+
+    def known(self, term, found):
+        """What a refit without a term finds."""
         value = self.finds.get(("".join(found.model.terms), term), self.finds.get(term, 100.0))
         rest = fitted(*(t for t in found.model.terms if t != term))
         how = {"inadmissible": value} if isinstance(value, str) else {"nats": value}
@@ -110,6 +117,13 @@ def searched(monkeypatch, made):
         estimator = SimpleNamespace(insensitive=lambda *_: frozenset(), segments=())
         table = {tuple(k): v for k, v in scores.items()}
         search = Scripted(estimator, pool, np.zeros(3, dtype=int), scores=table, finds=finds, **how)
+
+        def least_needed_first(terms, found, *_):
+            known = {t.id: search.known(t.id, found) for t in terms}
+            return sorted(terms, key=lambda t: (bool(known[t.id].inadmissible), known[t.id].nats))
+
+        monkeypatch.setattr(search_module, "least_needed_first", least_needed_first)
+        monkeypatch.setattr(search_module, "inadmissible", lambda t, found, *_: search.known(t.id, found).inadmissible)
         made.append(search)
         search.run(None, None)
         return search
@@ -171,9 +185,27 @@ def test_a_term_that_is_not_needed_beside_a_better_one_that_was_refused_is_not_n
     assert searched(scores, {"a": (bound, 11.0), "b": 12.0, ("ab", "b"): 0.0}).named == {"b"}  # a explains no more
 
 
+def test_a_term_beside_which_one_that_explains_more_cannot_be_leaves_in_its_place(searched):
+    """A third pole of 185 nats bent a reference shaping of 92,000 until its feedforward was at its bound."""
+    bound = "it is at its bound"
+    search = searched({"ab": 10.0}, {("ab", "a"): (bound, 93.0), ("ab", "b"): 12.0, "a": 93.0})
+    assert search.named == {"a"}
+    assert "a, which explains more, cannot be beside it" in search.rejected["b"].why_not
+    # Not where it cannot be by itself, either, nor where the other one explains more.
+    assert searched({"ab": 10.0}, {"a": (bound, 93.0), "b": 12.0}).named == {"b"}
+    assert searched({"ab": 10.0}, {("ab", "a"): (bound, 93.0), "a": 93.0, "b": 200.0}).named == {"b"}
+
+
 def test_an_older_term_is_asked_only_once_the_newcomers_stay(searched):
     search = searched({"a": 10.0, "b": 8.0}, {("ab", "b"): 0.0})
     assert search.asked == ["a", "b", "a", "a"]  # a alone; b beside it, which leaves; what stays, and as it is reported
+
+
+def test_a_term_that_is_not_needed_leaves_before_the_others_are_asked(searched):
+    search = searched({"abc": 10.0}, {("abc", "b"): 0.0})
+    assert search.asked == ["b", "a", "c", "a", "c"]  # each of what stays once more as it is reported
+    search = searched({"abc": 10.0}, {("abc", "b"): "it is at its bound", ("ac", "a"): 20.0})
+    assert search.asked == ["a", "c", "b", "a", "c", "a", "c"]  # inadmissible ones are asked last
 
 
 def test_beside_another_term_it_may_be_needed_unless_it_cannot_be(searched):

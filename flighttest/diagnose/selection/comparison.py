@@ -17,10 +17,13 @@ from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
 from flighttest.diagnose.selection.held_out import (
+    FEWEST_GROUPS,
     CrossValidation,
     Margins,
     PredictionErrors,
     cross_validated,
+    gains_held_out,
+    groups_moved,
     held_out,
     held_out_falls,
     places,
@@ -133,10 +136,34 @@ def weights_of(
 
 def standard_errors(fitted: Fitted, segments: Sequence[Segment]) -> dict[str, float]:
     """Name to the generalised least squares standard error of every parameter, in the model's own noise and discrepancy."""
+    variances = np.diag(_covariance(fitted, segments))
+    return dict(zip(fitted.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
+
+
+def _covariance(fitted: Fitted, segments: Sequence[Segment]) -> FloatArray:
+    """(p, p) of generalised least squares, p as `fitted.names`."""
     a = fitted.rows.columns(fitted.names) * np.sqrt(weights_of(fitted, segments)(fitted.rows))[:, None]
     length = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-300)
     inverse = np.linalg.pinv((a / length).T @ (a / length), rcond=1e-12, hermitian=True)
-    return dict(zip(fitted.names, (np.sqrt(np.maximum(np.diag(inverse), 0.0)) / length).tolist(), strict=True))
+    return np.asarray(inverse / length[:, None] / length)
+
+
+def least_needed_first(
+    terms: Sequence[Term], fitted: Fitted, segments: Sequence[Segment], candidates: int
+) -> list[Term]:
+    """Terms of a fitted model by what its log likelihood would lose without each, to first order (Wald 1943: the square of the
+    coefficients over their covariance); those whose estimates are inadmissible last."""
+    if len(terms) < 2:
+        return list(terms)
+    covariance = _covariance(fitted, segments)
+
+    def loss(term: Term) -> float:
+        own = [p for p in term.amplitudes if p.name in fitted.names]
+        at = [fitted.names.index(p.name) for p in own]
+        size = np.array([fitted.at.values[p.name] - null_value(p) for p in own])
+        return float(size @ np.linalg.pinv(covariance[np.ix_(at, at)], hermitian=True) @ size) if own else 0.0
+
+    return sorted(terms, key=lambda t: (bool(inadmissible(t, fitted, segments, candidates)), loss(t)))
 
 
 def rows_in_noise_of(larger: Fitted, smaller: Fitted, estimator: Estimator) -> Linearisation:
@@ -209,6 +236,20 @@ def evidence_of(
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0 and visible(change.get(name))),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
     )
+
+
+def predicts_no_more(base: Fitted, now: Fitted, groups: IntArray, floor: NoiseFloor) -> str:
+    """Why a model with all that was named is no better than the base, empty where it predicts more channels of what was not used surely
+    better than worse, each response by its initial state alone. Only channels that one of the two misses by more than the noise floor.
+    Empty, too, where the two predict differently in fewer groups than such an interval takes: each term was tested by itself."""
+    before, after = base.held_out(groups), now.held_out(groups)
+    if 0 < groups_moved(before, after, groups, floor, LEAST_FLOORS) < FEWEST_GROUPS:
+        return ""
+    gains = [g for g in gains_held_out(before, after, groups, floor).values() if g.above_floor]
+    better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
+    if better > worse:
+        return ""
+    return f"of what was not used, no more channels are predicted better with all that was named than worse ({better} and {worse})"
 
 
 def visible(change: FloatArray | None) -> bool:
