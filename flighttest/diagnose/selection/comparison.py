@@ -143,7 +143,7 @@ def standard_errors(fitted: Fitted, segments: Sequence[Segment]) -> dict[str, fl
 def _covariance(fitted: Fitted, segments: Sequence[Segment]) -> FloatArray:
     """(p, p) of generalised least squares, p as `fitted.names`."""
     a = fitted.rows.columns(fitted.names) * np.sqrt(weights_of(fitted, segments)(fitted.rows))[:, None]
-    length = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-300)
+    length = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-150)  # its square is a number
     inverse = np.linalg.pinv((a / length).T @ (a / length), rcond=1e-12, hermitian=True)
     return np.asarray(inverse / length[:, None] / length)
 
