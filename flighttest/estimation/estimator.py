@@ -87,7 +87,7 @@ class Estimator:
         total = 0.0
         with np.errstate(over="ignore", invalid="ignore"):  # a step too far may diverge: its objective is infinite
             for part, made, l_i in zip(problem.parts, problem.evaluate(at.values, nuisance), nuisance, strict=True):
-                std = np.array([at.noise.channel[c] for c in part.outputs])
+                std = at.noise.counted(part.outputs)
                 total += float(np.sum((made.residual / std) ** 2))
                 total += float(np.sum(((l_i - part.start_local()) / prior_std(part, at.noise)) ** 2))
         return total if np.isfinite(total) else np.inf
@@ -114,17 +114,18 @@ class Estimator:
             return start
         problem = self.problem(model)
         begun = bool(start.nuisance)
+        known = start.noise if begun or not noise else None
         found = solve(
             problem,
-            Start(start.values, start.noise if begun or not noise else None, start.nuisance),
+            Start(start.values, replace(known, correlation={}) if known and reported else known, start.nuisance),
             free=names,
             robust=False,
             estimate_noise=noise,
             max_iterations=iterations,
             tolerances=Tolerances() if reported else replace(COMPARED, compared_with=compared_with),
         )
-        known = log_likelihood(problem, found.noise, found.cost)
-        made = Optimum(dict(found.values), problem.by_name(found.local), found.noise, found.cost, known)
+        reached = log_likelihood(problem, found.noise, found.cost)
+        made = Optimum(dict(found.values), problem.by_name(found.local), found.noise, found.cost, reached)
         self._last = made, tuple(names), found.evaluations
         return made
 
@@ -154,8 +155,7 @@ class Estimator:
         for part, made, l_i in zip(problem.parts, self._evaluated(problem, at, names), nuisance, strict=True):
             m, n, n_y = part.y.shape
             n_l, n_f = len(part.locals), part.n_free_states
-            std = np.array([at.noise.channel[c] for c in part.outputs])
-            scale = np.tile(std, n)
+            scale = np.tile(std := at.noise.counted(part.outputs), n)
             jacobian = made.jacobian.reshape(m, n * n_y, -1)
             j_p, j_l = np.zeros((m, n * n_y, len(names))), jacobian[..., jacobian.shape[2] - n_l :] / scale[:, None]
             for k, name in enumerate(made.columns[: jacobian.shape[2] - n_l]):
@@ -245,7 +245,7 @@ class Estimator:
         problem = self.problem(model)
         power = dict.fromkeys(problem.names, 0.0)
         for part, columns in zip(problem.parts, self.derivatives(model, at, problem.names), strict=True):
-            std = np.tile([at.noise.channel[c] for c in part.outputs], part.y.shape[1])
+            std = np.tile(at.noise.counted(part.outputs), part.y.shape[1])
             for name, value in zip(problem.names, np.sum((columns / std[:, None]) ** 2, axis=(0, 1)), strict=True):
                 power[name] += float(value) * model.param[name].scale ** 2
         return frozenset(n for n, p in power.items() if model.param[n].kind == "base" and p < INSENSITIVE)

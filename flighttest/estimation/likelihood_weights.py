@@ -21,6 +21,9 @@ SPIKE_STDS = 5.0  # a sample further out than this is weighted down
 LARGEST = (
     1e12  # SI units: no residual or sensitivity of an aircraft comes near, one of a simulation that diverged passes it
 )
+UNCORRELATED = 0.05  # sums of autocorrelations end below it (Sokal's window, by value)
+FEWEST_PAIRS = 20  # of samples that such an autocorrelation is of
+SAME_CORRELATION = 0.1  # by which a correlation has to change to be learned anew
 NOISE_STEPS = 50
 NOISE_TOLERANCE = 0.003  # of the fixed point of the variances; the solver asks for 3 % between its steps
 LEAST_LEFT = 0.5  # of a channel's residual, between two steps of the solver
@@ -92,6 +95,7 @@ class LikelihoodWeights:
             ):  # a trial step may diverge: its cost is then infinite, and it is refused
                 z = np.abs(made.residual) / std
                 rho = np.where(z > SPIKE_STDS, 2 * SPIKE_STDS * z - SPIKE_STDS**2, z**2) if self.robust else z**2
+                rho = rho * (std / self.noise.counted(part.outputs)) ** 2
             w = self.response[[r.index for r in part.responses]]
             total += float((rho * part.mask * w[:, None, None]).sum())
             total += float((((local - part.start_local()) / prior_std(part, self.noise)) ** 2).sum())
@@ -105,7 +109,7 @@ class LikelihoodWeights:
         position = {name: k for k, name in enumerate(free)}
         for part, made, local in zip(self.problem.parts, at.made, at.local, strict=True):
             sums, n_p = self._weighted(part, made).sums, len(made.columns) - len(part.locals)
-            precision = np.array([self.noise.channel[c] ** -2 for c in part.outputs])
+            precision = self.noise.counted(part.outputs) ** -2.0
             full, grad = np.einsum("mkab,k->mab", sums.gram, precision), np.einsum("mka,k->ma", sums.moment, precision)
             prior = 1.0 / prior_std(part, self.noise) ** 2
             h_ll = full[:, n_p:, n_p:] + np.einsum("ml,lk->mlk", prior, np.eye(prior.shape[1]))
@@ -126,7 +130,7 @@ class LikelihoodWeights:
         """Per part the whitened residual (m, n, n_outputs) and its Jacobian by `free` (m, n, n_outputs, p), locals eliminated."""
         found = []
         for part, made in zip(self.problem.parts, at.made, strict=True):
-            weighted, std = self._weighted(part, made), np.array([self.noise.channel[c] for c in part.outputs])
+            weighted, std = self._weighted(part, made), self.noise.counted(part.outputs)
             m = len(part.responses)
             a = (weighted.jacobian / std[:, None]).reshape(m, -1, len(made.columns))
             r = (weighted.residual / std).reshape(m, -1, 1)
@@ -155,6 +159,14 @@ class LikelihoodWeights:
         response = self.response[[r.index for r in part.responses]]
         return np.asarray(sample_weights(made.residual, std, self.robust) * part.mask * response[:, None, None])
 
+    def with_correlation_of(self, at: State) -> LikelihoodWeights:
+        """Correlation of each channel from the residuals; as it is where nothing has changed by much."""
+        now, parts = self.noise.correlation, zip(self.problem.parts, at.made, strict=True)
+        found = {name: tau for part, made in parts for name, tau in correlations(part, made).items()}
+        if all(abs(found[c] / now.get(c, 1.0) - 1.0) < SAME_CORRELATION for c in found):
+            return self
+        return replace(self, noise=replace(self.noise, correlation={**now, **found}))
+
     def with_noise_of(self, at: State, free: Sequence[str]) -> LikelihoodWeights:
         """Channel noise from the residuals, disturbance variances from the locals, together, at these parameters.
 
@@ -167,7 +179,7 @@ class LikelihoodWeights:
             found = self._noise_of(part, made, local, len(free))
             channel |= found.channel
             disturbance |= found.disturbance
-        return replace(self, noise=Noise(channel, disturbance))
+        return replace(self, noise=Noise(channel, disturbance, self.noise.correlation))
 
     def _noise_of(self, part: Part, made: PartEvaluation, local: FloatArray, n_free: int) -> Noise:
         """Of one part."""
@@ -184,14 +196,16 @@ class LikelihoodWeights:
         floor = np.array([_STD_FLOOR[_unit(c)] for c in part.outputs])
         # Far from the optimum the locals are not linear: what is left of the residuals where they are limits what may be left.
         lowest_std = np.maximum(LEAST_LEFT * np.sqrt(scale * square.sum(axis=0)), floor)
+        together = np.array([self.noise.correlation.get(c, 1.0) for c in part.outputs])
         before, begun = prior_std(part, self.noise), part.start_local()
         spread, lowest = before.copy(), np.array([_least_disturbance(n) for n in part.block.disturbances])
         groups = self.problem.same_mean[index]
         for _ in range(NOISE_STEPS):
             prior = 1.0 / spread**2
-            precision = np.einsum("mklp,k->mlp", gram, 1.0 / std**2) + np.einsum("ml,lk->mlk", prior, np.eye(n_l))
+            counted = 1.0 / (together * std**2)
+            precision = np.einsum("mklp,k->mlp", gram, counted) + np.einsum("ml,lk->mlk", prior, np.eye(n_l))
             posterior = np.linalg.inv(regular(precision)) if n_l else precision
-            pull = np.einsum("mkl,k->ml", moment, 1.0 / std**2) + prior * (begun - local)
+            pull = np.einsum("mkl,k->ml", moment, counted) + prior * (begun - local)
             step = np.einsum("mlp,mp->ml", posterior, pull)
             left = square - np.einsum("mkl,ml->mk", 2.0 * moment - np.einsum("mklp,mp->mkl", gram, step), step)
             was, std = std, np.maximum(np.sqrt(scale * np.maximum(left, 0.0).sum(axis=0)), lowest_std)
@@ -211,6 +225,42 @@ class LikelihoodWeights:
             dict(zip(part.outputs, std.tolist(), strict=True)),
             dict(zip(part.block.disturbances, spread[0, n_l - n_d :].tolist(), strict=True)),
         )
+
+
+def correlations(part: Part, made: PartEvaluation) -> dict[str, float]:
+    """Velocity whose specific force was recorded to the integrated autocorrelation time of its residual within responses, in samples:
+    1 + 2 sum rho(lag), up to the first lag below `UNCORRELATED`. Given the force, kinematics make the velocity: what is left of it is the
+    state estimator's own error, which wanders. A mean and a trend of each response are left out: its own initial state and disturbance take
+    these up, and where they counted as noise, nothing would determine those."""
+    found = {}
+    length = part.mask.shape[1]
+    for k, name in enumerate(part.outputs):
+        if not (name.startswith("v_") and f"f_{name[2]}_m_s2" in part.outputs):
+            continue
+        mask = part.mask[..., k]
+
+        def correlated(values: FloatArray) -> FloatArray:
+            spectrum = np.abs(np.fft.rfft(values, 2 * length, axis=1)) ** 2
+            return np.asarray(np.fft.irfft(spectrum.sum(axis=0), 2 * length)[:length])
+
+        pairs = np.round(correlated(mask.astype(float)))
+        product = correlated(_without_trend(made.residual[..., k], mask)) / np.maximum(pairs, 1.0)
+        below = (pairs < FEWEST_PAIRS) | (product < UNCORRELATED * product[0])
+        last = int(np.argmax(below)) if below.any() else length
+        found[name] = (
+            max(1.0, 1.0 + 2.0 * float(product[1:last].sum() / product[0])) if last > 1 and product[0] > 0.0 else 1.0
+        )
+    return found
+
+
+def _without_trend(values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+    """(m, n) without mean and trend of each row over where mask is, 0 elsewhere."""
+    at = np.where(mask, np.arange(mask.shape[1], dtype=float), 0.0)
+    count = np.maximum(mask.sum(axis=1, keepdims=True), 1)
+    x = np.where(mask, values - np.where(mask, values, 0.0).sum(axis=1, keepdims=True) / count, 0.0)
+    t = np.where(mask, at - at.sum(axis=1, keepdims=True) / count, 0.0)
+    slope = (x * t).sum(axis=1, keepdims=True) / np.maximum((t * t).sum(axis=1, keepdims=True), 1e-300)
+    return np.asarray(x - slope * t)
 
 
 def variance_between_repeats(values: FloatArray, known: FloatArray, cells: NDArray[np.intp], otherwise: float) -> float:

@@ -121,10 +121,16 @@ class _Batch:
 
 @dataclass(frozen=True)
 class Noise:
-    """What residuals are measured against: std per channel, and per disturbance (constant over a response)."""
+    """What residuals are measured against: std per channel, and per disturbance (constant over a response). correlation: samples of a
+    channel that count as one, 1 where it is not given: the integrated autocorrelation time of what a state estimator wanders by."""
 
     channel: Mapping[str, float]
     disturbance: Mapping[str, float]
+    correlation: Mapping[str, float] = field(default_factory=dict)
+
+    def counted(self, outputs: Sequence[str]) -> FloatArray:
+        """(n_outputs,) std by which a sample counts in a sum of squares: that of white noise with the same power at low frequencies."""
+        return np.array([self.channel[c] * np.sqrt(self.correlation.get(c, 1.0)) for c in outputs])
 
 
 def cells_of(segments: Sequence[Segment]) -> NDArray[np.intp]:

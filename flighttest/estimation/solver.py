@@ -56,6 +56,7 @@ class _PenalisedCost:
     weighing: LikelihoodWeights
     robust_from: int | None  # iteration from which responses are weighted down
     estimate_noise: bool
+    estimate_correlation: bool
 
     def values(self, theta: FloatArray) -> dict[str, float]:
         """Every value by name."""
@@ -68,6 +69,8 @@ class _PenalisedCost:
     def learn(self, at: State, iteration: int) -> bool:
         """Noise, variances of the nuisance parameters and weights of responses, from the residuals."""
         previous = self.weighing.noise
+        if self.estimate_correlation:
+            self.weighing = self.weighing.with_correlation_of(at)
         if self.estimate_noise:
             self.weighing = self.weighing.with_noise_of(at, self.names)
         if self.robust_from is not None and iteration >= self.robust_from:
@@ -112,7 +115,7 @@ class _PenalisedCost:
 @dataclass(frozen=True)
 class Start:
     """Where an estimate begins. values: parameters by name, the problem's own where they are not given; noise, nuisance: a previous
-    estimate's noise, and its nuisance parameters, name to (n_segments,)."""
+    estimate's noise, whose correlation is kept where it has one, and its nuisance parameters, name to (n_segments,)."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     noise: Noise | None = None
@@ -147,6 +150,7 @@ def solve(
         LikelihoodWeights.even(problem, begin.noise, robust=robust),
         robust_from=None if not robust else 1 if warm else 3,
         estimate_noise=estimate_noise,
+        estimate_correlation=estimate_noise and not (begin.noise and begin.noise.correlation),
     )
     theta = space.inside(np.array([objective.base[n] for n in names]))
     found = minimise(
@@ -179,7 +183,10 @@ def log_likelihood(problem: Problem, noise: Noise, cost: float) -> float:
     scale = 0.0
     for part in problem.parts:
         count = part.mask.sum(axis=(0, 1))
-        scale += sum(n * np.log(noise.channel[c]) for n, c in zip(count, part.outputs, strict=True))
+        scale += sum(
+            n / noise.correlation.get(c, 1.0) * np.log(noise.channel[c])
+            for n, c in zip(count, part.outputs, strict=True)
+        )
         scale += len(part.responses) * sum(np.log(noise.disturbance[d]) for d in part.block.disturbances)
     return float(-scale - 0.5 * cost)
 

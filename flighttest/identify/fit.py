@@ -384,5 +384,5 @@ def heldout(found: Fit, segments: Sequence[Segment], select: Select = "paper") -
     missing = {c for part in problem.parts for c in part.outputs} - set(noise.channel)
     if missing:
         extra = start_noise(problem)
-        noise = Noise({**extra.channel, **noise.channel}, {**extra.disturbance, **noise.disturbance})
+        noise = Noise({**extra.channel, **noise.channel}, {**extra.disturbance, **noise.disturbance}, noise.correlation)
     return problem, finite_or_error(solve(problem, Start(noise=noise), free=(), robust=False, estimate_noise=False))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.likelihood_weights import LikelihoodWeights, Normal, State, start_noise
 from flighttest.estimation.problem import Noise, PartEvaluation, Problem
+from flighttest.identify.models.model_blocks import NoiseBlock
 
 FloatArray = NDArray[np.float64]
 
@@ -39,8 +40,17 @@ def normal_at(
 ) -> AtFixedParameters:
     """Normal equations by `free` at given parameters and noise. local: measured initial states and no disturbances where None."""
     known = start_noise(problem)
-    noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance})
+    noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance}, noise.correlation)
     at = State(np.zeros(0), [part.start_local() for part in problem.parts] if local is None else list(local), [])
     at.made = problem.evaluate(values, at.local, free)
     normal, backs = LikelihoodWeights.even(problem, noise, robust=True).by_response(at.made).normal_equations(at, free)
     return AtFixedParameters(normal, tuple(at.made), noise, tuple(at.local), tuple(backs))
+
+
+def stored_noise(stored: NoiseBlock, problem: Problem) -> Noise | None:
+    """The noise of a model file, where it has that of everything in `problem`."""
+    noise = Noise(stored.get("channels") or {}, stored.get("disturbances") or {}, stored.get("correlations") or {})
+    whole = all(
+        {*p.outputs} <= {*noise.channel} and {*p.block.disturbances} <= {*noise.disturbance} for p in problem.parts
+    )
+    return noise if whole else None

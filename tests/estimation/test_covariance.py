@@ -84,7 +84,7 @@ def test_samples_that_are_missing_do_not_hide_correlation():
     e = np.zeros((1, 4000, 1))
     e[0, ::2, 0] = np.repeat(np.random.default_rng(3).standard_normal(200), 10)
     part = SimpleNamespace(outputs=("v_x_m_s",), responses=(0,), mask=e != 0.0)
-    problem, noise = SimpleNamespace(parts=[part]), SimpleNamespace(channel={"v_x_m_s": 1.0})
+    problem, noise = SimpleNamespace(parts=[part]), SimpleNamespace(channel={"v_x_m_s": 1.0}, correlation={})
     found = variance_inflation_of(problem, [SimpleNamespace(residual=e)], noise)
     assert found == pytest.approx(19.0, rel=0.2), "ten alike in a row: rho is 0.9"
 

@@ -166,7 +166,7 @@ def test_what_windows_of_free_flight_have_in_common_is_no_disturbance():
     # Windows differ by 0.05 m/s^2, and the accelerometer's noise is 0.1 m/s^2: what the curve does stays in the residual.
     assert found.noise.disturbance["a_d_z_m_s2"] < 0.2
     assert found.noise.channel["f_z_m_s2"] > 0.13
-    assert found.values["K"] == pytest.approx(1.13 * TRUE["K"], rel=0.03)
+    assert found.values["K"] == pytest.approx(1.1 * TRUE["K"], rel=0.04)
 
 
 def test_the_variance_between_repeats_is_that_of_a_one_way_analysis():

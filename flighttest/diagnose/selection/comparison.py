@@ -22,7 +22,7 @@ from flighttest.diagnose.selection.held_out import (
     Margins,
     PredictionErrors,
     cross_validated,
-    gains_held_out,
+    error_ratio_95,
     groups_moved,
     held_out,
     held_out_falls,
@@ -239,17 +239,17 @@ def evidence_of(
 
 
 def predicts_no_more(base: Fitted, now: Fitted, groups: IntArray, floor: NoiseFloor) -> str:
-    """Why a model with all that was named is no better than the base, empty where it predicts more channels of what was not used surely
-    better than worse, each response by its initial state alone. Only channels that one of the two misses by more than the noise floor.
-    Empty, too, where the two predict differently in fewer groups than such an interval takes: each term was tested by itself."""
+    """Why a model with all that was named is no better than the base, empty where its errors in what was not used, each response predicted
+    by its initial state alone, are surely smaller: geometric mean over the channels that one of the two misses by more than the noise
+    floor (the likelihood with each channel's variance unknown). Empty, too, where the two predict differently in fewer groups than such an
+    interval takes: each term was tested by itself."""
     before, after = base.held_out(groups), now.held_out(groups)
     if 0 < groups_moved(before, after, groups, floor, LEAST_FLOORS) < FEWEST_GROUPS:
         return ""
-    gains = [g for g in gains_held_out(before, after, groups, floor).values() if g.above_floor]
-    better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
-    if better > worse:
+    low, high = error_ratio_95(before, after, groups, floor)
+    if high < 1.0:
         return ""
-    return f"of what was not used, no more channels are predicted better with all that was named than worse ({better} and {worse})"
+    return f"what was not used is not surely predicted better with all that was named (errors {low:.2g} to {high:.2g} times as large)"
 
 
 def visible(change: FloatArray | None) -> bool:

@@ -223,11 +223,6 @@ class HeldOut:
     floor: float
     gain_95: tuple[float, float]
 
-    @property
-    def above_floor(self) -> bool:
-        """Whether one of the two models misses the channel by more than its noise floor."""
-        return max(self.rmse_before, self.rmse_after) > self.floor
-
 
 def gains_held_out(
     before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, seed: int = 0
@@ -251,6 +246,22 @@ def gains_held_out(
         low, high = np.quantile(drops[draws @ n_b > 0], [0.025, 0.975])
         found[name] = HeldOut(rmse(ss_b, n_b), rmse(ss_a, n_a), floor.of(name), (float(low), float(high)))
     return found
+
+
+def error_ratio_95(
+    before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, seed: int = 0
+) -> tuple[float, float]:
+    """95 % interval (bootstrap over groups) of the errors of one model over those of another, geometric mean over the channels that one of
+    them misses by more than the noise floor; (1, 1) where there is none."""
+    n = int(groups.max()) + 1
+    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS).astype(float)
+    logs = []
+    for name in (c for c in before.rows.channels if c in after.rows.channels):
+        (ss_b, n_b), (ss_a, _) = before.squares(name, groups), after.squares(name, groups)
+        if max(ss_b.sum(), ss_a.sum()) > floor.of(name) ** 2 * n_b.sum():
+            logs.append(0.5 * np.log(np.maximum(draws @ ss_a, 1e-300) / np.maximum(draws @ ss_b, 1e-300)))
+    low, high = np.exp(np.quantile(np.mean(logs, axis=0), [0.025, 0.975])) if logs else (1.0, 1.0)
+    return float(low), float(high)
 
 
 def places(rows: Linearisation, segments: Sequence[Segment]) -> dict[tuple[str, str], IntArray]:

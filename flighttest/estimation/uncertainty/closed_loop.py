@@ -55,7 +55,8 @@ def _scores(part: Part, made: PartEvaluation, rows: list[int], solution: Solutio
     """(n_leads, n_parameters) of some responses of a part, sensitivities moved ahead of the residuals, the locals projected out."""
     std = np.array([solution.noise.channel[c] for c in part.outputs])
     n_p = len(made.columns) - len(part.locals)
-    weight = np.sqrt(sample_weights(made.residual[rows], std, True) * part.mask[rows]) / std
+    weight = np.sqrt(sample_weights(made.residual[rows], std, True) * part.mask[rows])
+    weight = weight / solution.noise.counted(part.outputs)
     jacobian = made.jacobian[rows] * weight[..., None]
     local = jacobian[..., n_p:]
     prior = 1.0 / prior_std(part, solution.noise)[rows] ** 2

@@ -112,7 +112,9 @@ def variance_inflation(residuals: list[FloatArray]) -> float:
 
 
 def variance_inflation_of(problem: Problem, evaluations: Sequence[PartEvaluation], noise: Noise) -> float:
-    """`variance_inflation` of all residuals of a problem."""
+    """`variance_inflation` of all residuals of a problem, 1 where the weights contain their correlation."""
+    if noise.correlation:
+        return 1.0
     return variance_inflation(
         [
             made.residual[j, part.mask[j, :, k], k] / noise.channel[c]

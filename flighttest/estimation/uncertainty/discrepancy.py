@@ -93,7 +93,7 @@ def _moved(part: Part, residual: FloatArray, k: int, noise: Noise) -> float:
     modelled = np.where(mask, part.y[..., k] - residual[..., k], 0.0)
     count = np.maximum(mask.sum(axis=1, keepdims=True), 1)
     apart = np.where(mask, modelled - modelled.sum(axis=1, keepdims=True) / count, 0.0)
-    return float((apart**2).sum() / max(mask.sum(), 1) / noise.channel[part.outputs[k]] ** 2)
+    return float((apart**2).sum() / max(mask.sum(), 1) / noise.counted(part.outputs)[k] ** 2)
 
 
 def _between_cells(problem: Problem, part: Part, residual: FloatArray, mask: NDArray[np.bool_]) -> float:

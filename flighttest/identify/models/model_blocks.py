@@ -30,10 +30,12 @@ class ValidBlock(TypedDict, total=False):
 
 
 class NoiseBlock(TypedDict, total=False):
-    """Standard deviations that residuals were measured against, SI: of each channel, and of each disturbance."""
+    """Standard deviations that residuals were measured against, SI: of each channel, and of each disturbance; correlations: samples of a
+    channel that count as one, 1 where it is not given."""
 
     channels: dict[str, float]
     disturbances: dict[str, float]
+    correlations: dict[str, float]
 
 
 class FlightWindRow(TypedDict):
@@ -223,7 +225,7 @@ def constants_of(document: YamlDocument, node: Node | None) -> dict[str, float]:
 
 
 def noise_of(document: YamlDocument, node: Node | None) -> NoiseBlock:
-    """Standard deviations of channels and disturbances; one that is not known (null) is left out."""
+    """Standard deviations of channels and disturbances, and correlations; one that is not known (null) is left out."""
     found: dict[str, dict[str, float]] = {}
     for part, block in children_of(document, node).items():
         read = {n: document.number(c, 0.0, 1e9) for n, c in children_of(document, block).items() if c.value is not None}

@@ -165,6 +165,7 @@ def as_data(
         "noise": {
             "channels": {c: n for c, v in found.noise.channel.items() if (n := _number(v)) is not None},
             "disturbances": {c: n for c, v in found.noise.disturbance.items() if (n := _number(v)) is not None},
+            "correlations": {c: n for c, v in found.noise.correlation.items() if (n := _number(v)) is not None},
         },
         "fit_quality": quality,
         "notes": list(found.notes),

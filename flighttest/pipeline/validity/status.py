@@ -11,10 +11,10 @@ import numpy as np
 
 from flighttest.diagnose import Diagnosis
 from flighttest.errors import FitError, InputError
-from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.solver import Start
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
+from flighttest.identify.fixed_parameters import stored_noise
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.identify.selection import problem_of
@@ -256,7 +256,7 @@ def reestimate_segments(
     stored: ModelFile, segments: Sequence[Segment], name: str
 ) -> tuple[Estimates, dict[str, float | None]]:
     """`reestimate` from segments that are already cut."""
-    start = Start(stored.values, stored_noise(stored, problem_of(segments, stored.model, values=stored.values)))
+    start = Start(stored.values, stored_noise(stored.noise, problem_of(segments, stored.model, values=stored.values)))
     found = identify(segments, stored.model, start=start)
     tested = [n for names in subsets_of(stored.model).values() for n in names]
     stds = {n: found.estimates[n].std for n in tested if n in found.estimates}
@@ -273,16 +273,8 @@ def matched_pairs(stored: ModelFile, base: Estimates, segments: Sequence[Segment
     if not kept:
         return None
     problem = problem_of(segments, stored.model, values=stored.values)
-    noise = stored_noise(stored, problem)
+    noise = stored_noise(stored.noise, problem)
     return matched_pair.compare_matched(kept, base, stored.values, noise, problem) if noise is not None else None
-
-
-def stored_noise(stored: ModelFile, problem: Problem) -> Noise | None:
-    """A model's noise, where it has that of everything in `problem`."""
-    noise = Noise(stored.noise.get("channels") or {}, stored.noise.get("disturbances") or {})
-    channels = {c for part in problem.parts for c in part.outputs}
-    others = {n for part in problem.parts for n in part.block.disturbances}
-    return noise if channels <= set(noise.channel) and others <= set(noise.disturbance) else None
 
 
 def log_voltage_ratio(segments: Sequence[Segment], nominal_v: float) -> float:

@@ -1,0 +1,108 @@
+"""Errors of a velocity estimate that wander count as often as they are independent, and no more."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.likelihood_weights import LikelihoodWeights, State, correlations, start_noise
+from flighttest.estimation.solver import Start, solve
+from flighttest.identify.fit import default_model, fit
+from flighttest.identify.fixed_parameters import stored_noise
+from flighttest.identify.selection import able
+from tests.diagnose.flight import TRUE, campaign, fly
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(1)
+
+
+def wandering(rng, rho, responses=200, samples=150):
+    """(responses, samples) of first-order autoregression."""
+    x = rng.normal(size=(responses, samples))
+    for k in range(1, samples):
+        x[:, k] = rho * x[:, k - 1] + np.sqrt(1.0 - rho**2) * x[:, k]
+    return x
+
+
+def counted(residual, outputs=("f_x_m_s2", "v_x_m_s"), mask=None):
+    whole = np.stack([np.zeros_like(residual), residual], axis=2)
+    mask = np.ones(whole.shape, dtype=bool) if mask is None else mask
+    return correlations(SimpleNamespace(outputs=outputs, mask=mask), SimpleNamespace(residual=whole))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])
+def test_samples_that_count_as_one_are_the_integrated_autocorrelation(rng, rho):
+    # Less, since a trend is left out and so is what correlates by less than 5 %.
+    true = (1.0 + rho) / (1.0 - rho)
+    assert 0.65 * true < counted(wandering(rng, rho))["v_x_m_s"] < 1.1 * true
+
+
+def test_gaps_are_no_samples(rng):
+    x, mask = wandering(rng, 0.8), np.ones((200, 150, 2), dtype=bool)
+    mask[:, 60:75] = False
+    assert counted(np.where(mask[..., 1], x, 50.0), mask=mask)["v_x_m_s"] == pytest.approx(6.3, rel=0.1)
+
+
+def test_what_an_initial_state_and_a_disturbance_take_up_is_no_correlation(rng):
+    ramps = rng.normal(size=(200, 1)) + rng.normal(size=(200, 1)) * np.linspace(-1.0, 1.0, 150)
+    assert counted(rng.normal(size=(200, 150)) + 30.0 * ramps)["v_x_m_s"] < 1.3
+
+
+def test_only_a_velocity_whose_specific_force_was_recorded_counts_less(rng):
+    assert counted(wandering(rng, 0.8), outputs=("f_y_m_s2", "v_x_m_s")) == {}
+    assert set(counted(wandering(rng, 0.8))) == {"v_x_m_s"}
+    assert counted(np.zeros((200, 150)))["v_x_m_s"] == 1.0
+
+
+def test_a_velocity_whose_error_wanders_is_seen_to():
+    rng, moved = np.random.default_rng(0), []
+    for s in fly(campaign(2)):
+        wander = 0.04 * wandering(rng, 0.97, 3, s.t_s.size)
+        y = {n: s.y[n] + w for n, w in zip(("v_x_m_s", "v_y_m_s", "v_z_m_s"), wander, strict=True)}
+        moved.append(replace(s, y=s.y | y))
+    found = fit(moved, select="all", robust=False)
+    assert min(found.noise.correlation.values()) > 2.0
+    for name, true in zip(("d_x", "d_y", "d_z"), TRUE["d"], strict=True):
+        assert found.values[name] == pytest.approx(true, rel=0.03)
+    again = solve(found.problem, Start(noise=replace(found.noise, correlation={"v_x_m_s": 7.0})), robust=False)
+    assert again.noise.correlation == {"v_x_m_s": 7.0}, "what is known is kept"
+
+
+def test_four_samples_that_count_as_one_weigh_as_twice_the_standard_deviation():
+    segments = tuple(fly(campaign(1, tilts=False, yaws=False)))[:6]
+    estimator, model = Estimator(segments, "translation", able), default_model(segments)
+    problem, names = estimator.problem(model), ("sigma_t", "K", "d_z", "T_d_thrust")
+    known = start_noise(problem)
+    four = replace(known, correlation={"v_z_m_s": 4.0})
+    twice = replace(known, channel={**known.channel, "v_z_m_s": 2.0 * known.channel["v_z_m_s"]})
+    seen = []
+    for noise in (four, twice):
+        at = replace(estimator.start(model), noise=noise)
+        weighing = LikelihoodWeights.even(problem, noise, robust=False)
+        state = State(np.zeros(0), problem.placed({}), problem.evaluate(at.values, None, names))
+        normal, _ = weighing.normal_equations(state, names)
+        rows = estimator.linearise(model, at, names)
+        profiled = weighing.profiled(state, names)
+        seen.append(
+            (
+                weighing.cost(state), estimator.objective(model, at), normal.hessian, normal.score, rows.residual, rows.jacobian,
+                rows.scale, *(x for pair in profiled for x in pair),
+            )
+        )  # fmt: skip
+    for one, other in zip(*seen, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
+
+
+def test_the_noise_of_a_model_file_is_used_whole():
+    problem = SimpleNamespace(
+        parts=[SimpleNamespace(outputs=("v_x_m_s",), block=SimpleNamespace(disturbances=("a_d_x_m_s2",)))]
+    )
+    stored = {"channels": {"v_x_m_s": 0.02}, "disturbances": {"a_d_x_m_s2": 0.1}, "correlations": {"v_x_m_s": 25.0}}
+    assert stored_noise(stored, problem).counted(("v_x_m_s",)) == pytest.approx([0.1])
+    del stored["correlations"]
+    assert stored_noise(stored, problem).counted(("v_x_m_s",)) == pytest.approx([0.02])
+    assert stored_noise({"channels": {}, "disturbances": stored["disturbances"]}, problem) is None
