@@ -30,10 +30,11 @@ import flighttest
 from flighttest.diagnose import diagnose
 from flighttest.pipeline.identification.fitting import base_model
 from flighttest.pipeline.recordings.sources import open_recordings
+from flighttest.proof.board_page import rates
 from flighttest.proof.cases import Case, draw
 from flighttest.proof.flying import case_options, fly_campaign
 from flighttest.proof.outcome import Outcome
-from flighttest.proof.scoreboard import rates, right, score, wrong
+from flighttest.proof.scoreboard import right, score, wrong
 from flighttest.proof.trial import OracleAnswer, opened
 from flighttest.segments import Segment, cut
 from flighttest.sim import SimOptions

@@ -146,7 +146,8 @@ class CampaignOptions(FlightOptions, total=False):
 class ProofOptions(TypedDict, total=False):
     """Further options of `prove`. generator: what flies; kind: only trials that hide nothing, one effect, two, or one that no term of the
     catalogue describes, or, of real flights, a natural pair; clean: draw on until so many trials hide nothing; scheduler: an existing Dask
-    cluster, tcp://...; recordings, data: list (recordings/1) and folder of the real flights that the generator 'recorded' takes."""
+    cluster, tcp://...; recordings, data: list (recordings/1) and folder of real flights: 'recorded' adds effects to them,
+    'rotor' takes the noise of half its trials from them."""
 
     generator: Literal["rotor", "sitl", "recorded"]
     kind: Literal["clean", "single", "pair", "outside", "natural"] | None

@@ -23,8 +23,13 @@ if TYPE_CHECKING:
 @click.option(
     "--clean", type=click.IntRange(min=0), default=0, help="Draw on until so many trials have nothing hidden."
 )
-@click.option("--recordings", type=FILE, metavar="FILE", help="Of `recorded`: the list of real flights (recordings/1).")
-@click.option("--data", type=FOLDER, metavar="DIR", help="Of `recorded`: the folder that the listed files are in.")
+@click.option(
+    "--recordings",
+    type=FILE,
+    metavar="FILE",
+    help="List of real flights (recordings/1): `recorded` adds effects to them, `rotor` takes the noise of half its trials from them.",
+)
+@click.option("--data", type=FOLDER, metavar="DIR", help="The folder that the listed files are in.")
 @click.option("--seed", type=int, help="First seed; otherwise new ones are drawn and printed.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--scheduler", metavar="URL", help="An existing Dask cluster, tcp://...")

@@ -34,11 +34,21 @@ NOT_HIDDEN = ("linear_drag", "channel_delay", "airflow_moment")
 
 
 @dataclass(frozen=True)
+class NoiseSource:
+    """Real recordings whose noise a simulated flight gets. name: of their set; columns: their column map; data: folder of the files."""
+
+    name: str
+    files: tuple[str, ...]
+    columns: str | None = None
+    data: str = ""
+
+
+@dataclass(frozen=True)
 class Case:
     """One trial's truth. hide: effect to keys and values; conditions: noise factor, gusts m/s.
 
     generator: 'rotor' is the built-in copter; 'sitl' is ArduCopter's firmware on the same body, rotors and air; 'recorded' is not drawn
-    here (`proof.recorded`).
+    here (`proof.recorded`). noise_from: whose noise and disturbance it has instead of synthetic ones (`proof.transplanted_noise`).
     """
 
     index: int
@@ -50,10 +60,14 @@ class Case:
     noise: float
     gust_rms_m_s: float
     generator: Generator = "rotor"
+    noise_from: NoiseSource | None = None
 
     def truth(self) -> str:
-        """As sealed: JSON with sorted keys."""
-        return json.dumps(asdict(self), sort_keys=True)
+        """As sealed: JSON with sorted keys; of real noise its set and files, wherever their folder is, and no word of it without."""
+        written = {k: v for k, v in asdict(self).items() if k != "noise_from"}
+        if self.noise_from is not None:
+            written["noise_from"] = {"name": self.noise_from.name, "files": self.noise_from.files}
+        return json.dumps(written, sort_keys=True)
 
     def sha256(self) -> str:
         """Of the truth: printed before the diagnosis starts."""

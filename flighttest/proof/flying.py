@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,9 +91,13 @@ def sealed_vehicle(vehicle_seed: int) -> Vehicle:
 
 
 def fly_campaign(
-    options: SimOptions, folder: Path, generator: Generator = "rotor", script: str = CAMPAIGN
+    options: SimOptions,
+    folder: Path,
+    generator: Generator = "rotor",
+    script: str = CAMPAIGN,
+    changed: Callable[[Recording], Recording] = lambda recording: recording,
 ) -> tuple[Segment, ...]:
-    """Fly the campaign and give what was cut from the raw log, the firmware's own where there is one.
+    """Fly the campaign and give what was cut from the raw log, the firmware's own where there is one; changed: before it is cut.
 
     FlighttestError when it could not be flown, or where no firmware is found.
     """
@@ -109,7 +114,7 @@ def fly_campaign(
     )
     plan = compile_plan(parse_script(script), vehicle, prior)
     recordings = _fly_firmware(plan, options, folder) if generator == "sitl" else _fly_built_in(plan, options, folder)
-    return tuple(s for recording in recordings for s in cut(recording))
+    return tuple(s for recording in recordings for s in cut(changed(recording)))
 
 
 def _fly_built_in(plan: Plan, options: SimOptions, folder: Path) -> tuple[Recording, ...]:

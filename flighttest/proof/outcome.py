@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
@@ -56,6 +57,11 @@ class Outcome:
     def to_json(self) -> dict[str, object]:
         """Plain types."""
         return asdict(self)
+
+    @property
+    def real_noise(self) -> bool:
+        """Whether its noise and disturbance are of real recordings, by its truth."""
+        return bool(self.truth) and "noise_from" in json.loads(self.truth)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Outcome:

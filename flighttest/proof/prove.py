@@ -20,6 +20,7 @@ from flighttest.proof.outcome import Outcome
 from flighttest.proof.recorded.cases import RecordedCase, drawn_cases
 from flighttest.proof.recorded.sets import read_sets
 from flighttest.proof.recorded.trial import run_recorded
+from flighttest.proof.transplanted_noise import with_real_noise
 
 Report = Callable[[str], None]
 AnyCase = Case | RecordedCase
@@ -29,7 +30,8 @@ AnyCase = Case | RecordedCase
 class ProofRequest:
     """A proof as it is asked for. seed: a new one is drawn where None; kind: only such trials; clean: at least so many with nothing hidden,
     as `cases_of`; workers: processes of this machine; scheduler: address of a Dask scheduler instead. recordings: list of recorded flights
-    (recordings/1) that the generator 'recorded' draws from; data: the folder that its files are relative to."""
+    (recordings/1) that the generator 'recorded' draws from, and 'rotor' takes the noise of half of its trials from; data: the folder that
+    its files are relative to."""
 
     trials: int
     seed: int | None = None
@@ -43,20 +45,23 @@ class ProofRequest:
 
 
 def _cases(asked: ProofRequest, seed: int) -> Sequence[AnyCase]:
-    if asked.generator != "recorded":
-        if asked.recordings is not None or asked.data is not None:
-            raise InputError(
-                f"the generator {asked.generator!r} flies and takes no recordings",
-                "add --generator recorded, or leave --recordings and --data out",
-            )
-        return cases_of(seed, asked.trials, asked.generator, asked.kind, asked.clean)
-    if asked.recordings is None or asked.data is None:
+    given = asked.recordings is not None or asked.data is not None
+    if asked.generator == "sitl" and given:
         raise InputError(
-            "the generator 'recorded' needs recordings",
-            "name their list with --recordings FILE and their folder with --data DIR",
+            "the generator 'sitl' takes no recordings",
+            "add --generator recorded or rotor, or leave --recordings and --data out",
         )
-    every = drawn_cases(seed, read_sets(asked.recordings), asked.data.resolve())
-    return first_of(every, asked.trials, asked.kind, asked.clean)
+    if given or asked.generator == "recorded":
+        if asked.recordings is None or asked.data is None:
+            raise InputError(
+                f"the generator {asked.generator!r} needs recordings and their folder",
+                "name their list with --recordings FILE and their folder with --data DIR",
+            )
+        sets, data = read_sets(asked.recordings), asked.data.resolve()
+        if asked.generator == "recorded":
+            return first_of(drawn_cases(seed, sets, data), asked.trials, asked.kind, asked.clean)
+    cases = cases_of(seed, asked.trials, asked.generator, asked.kind, asked.clean)
+    return with_real_noise(cases, sets, data) if given else cases
 
 
 def run_trials(

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.proof.board_page import SEALS, code_of, markdown, rates, seals, share
 from flighttest.proof.outcome import Outcome
 from flighttest.proof.prove import AnyCase, ProofRequest, commit_of, read_proof, run_trials, write_proof
-from flighttest.proof.scoreboard import SEALS, code_of, markdown, rates, score, seals, share
+from flighttest.proof.scoreboard import score
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl.launcher import find_arducopter
 

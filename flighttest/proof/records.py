@@ -31,6 +31,16 @@ class NameRates(TypedDict):
     wind_unchanged: Counted
 
 
+class NoiseRow(TypedDict):
+    """Trials whose noise and disturbance are of one origin: how many flew, how often what was hidden was named first, and what was not
+    hidden was named."""
+
+    noise: str
+    trials: int
+    first: Counted
+    false_alarms: Counted
+
+
 class Magnitudes(TypedDict):
     """Relative errors of forces and of parameters of what was named, share of the error that is gone, time of a diagnosis, s: medians."""
 
@@ -82,6 +92,7 @@ class Scores(NameRates, Magnitudes, Calibration):
     trials: int
     flown: int
     not_flown: list[NotFlown]
+    by_noise: list[NoiseRow]
     power: list[PowerRow]
     confusion: list[ConfusionRow]
     misses: list[Miss]

@@ -6,6 +6,7 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,10 @@ from flighttest.identify.validation.prediction import coverage
 from flighttest.physics.model import Model
 from flighttest.proof import oracle
 from flighttest.proof.cases import ALIASED, Case
-from flighttest.proof.flying import case_options, fly_campaign
+from flighttest.proof.flying import CAMPAIGN, case_options, fly_campaign
 from flighttest.proof.outcome import Outcome, firmware_terms, judged_outcome, shared_truth
+from flighttest.proof.transplanted_noise import RealNoise, blocks_of
+from flighttest.recording.model import Recording
 from flighttest.segments import Segment
 from flighttest.sim.plants.rotor_vehicle import random_rotor
 
@@ -37,7 +40,7 @@ class OracleAnswer:
 def run_trial(case: Case) -> Outcome:
     """Fly the sealed case, diagnose what was recorded, then open the seal."""
     try:
-        segments = _flown(case)
+        segments = flown_segments(case)
         frame = random_rotor(case.vehicle_seed)
         wall, cpu = time.perf_counter(), time.process_time()
         # Blind: recorded segments and what an operator has of a vehicle.
@@ -71,10 +74,12 @@ def measure(case: Case, recorded: Sequence[Segment]) -> OracleAnswer:
     if not case.hide:
         return OracleAnswer()
     voltage = random_rotor(case.vehicle_seed).nominal_voltage_v
-    quiet = _flown(case, quiet=True)
+    quiet = flown_segments(case, quiet=True)
     noise = oracle.oracle_noise(recorded, quiet, voltage)
     with_all = oracle.left(quiet, noise, voltage)
-    effects = {e: with_all.less(oracle.left(_flown(case, without=e, quiet=True), noise, voltage)) for e in case.hide}
+    effects = {
+        e: with_all.less(oracle.left(flown_segments(case, without=e, quiet=True), noise, voltage)) for e in case.hide
+    }
     return OracleAnswer(
         {e: oracle.size_in_floors(left, noise) for e, left in effects.items()},
         {e: oracle.force_left(left) for e, left in effects.items()},
@@ -82,9 +87,12 @@ def measure(case: Case, recorded: Sequence[Segment]) -> OracleAnswer:
     )
 
 
-def _flown(case: Case, without: str = "", quiet: bool = False) -> tuple[Segment, ...]:
+def flown_segments(case: Case, without: str = "", quiet: bool = False) -> tuple[Segment, ...]:
+    """What can be used of the campaign of a case, or of its twin without one of its effects, or without noise and gusts."""
     with tempfile.TemporaryDirectory() as folder:
-        flown = fly_campaign(case_options(case, without, quiet), Path(folder), case.generator)
+        flown = fly_campaign(
+            case_options(case, without, quiet), Path(folder), case.generator, CAMPAIGN, partial(_noisy, case, quiet)
+        )
     segments = tuple(s for s in flown if s.usable)
     if all(s.kind == "free" for s in segments):
         # Nothing has a twin in the flight without the effect, which its size is measured by.
@@ -92,6 +100,14 @@ def _flown(case: Case, without: str = "", quiet: bool = False) -> tuple[Segment,
             "no step of the campaign was flown to its end", "the vehicle does not settle with this effect"
         )
     return segments
+
+
+def _noisy(case: Case, quiet: bool, flown: Recording) -> Recording:
+    if quiet or case.noise_from is None:
+        return flown
+    frame = random_rotor(case.vehicle_seed)
+    drag = (frame.drag_x_1_s, frame.drag_y_1_s, frame.drag_z_1_s)
+    return RealNoise(blocks_of(case.noise_from), drag, case.flight_seed).on(flown)
 
 
 def _coverage(segments: Sequence[Segment], found: Diagnosis) -> float:

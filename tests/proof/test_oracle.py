@@ -125,7 +125,7 @@ def test_a_hidden_effect_is_measured_by_quiet_twins_with_and_without_it(monkeypa
     case = replace(draw(5, 3), hide={"translational_lift": {"k_lift": 0.02}, "steady_wind": {"w_north": 1.0}})
     flown = []
 
-    def stub(options, _folder, _generator):
+    def stub(options, *_flown):
         flown.append((set(options.hide), options.noise, options.gust_rms_m_s))
         lift, wind = 0.02 * ("translational_lift" in options.hide), 1.0 * ("steady_wind" in options.hide)
         return tuple(flight(lift=lift, wind=wind, noise=options.noise))

@@ -12,11 +12,12 @@ import pytest
 from flighttest.errors import InputError
 from flighttest.physics.catalogue import catalogue
 from flighttest.proof import proving, trial
+from flighttest.proof.board_page import markdown
 from flighttest.proof.cases import cases_of, draw
 from flighttest.proof.flying import CAMPAIGN, fly_campaign
 from flighttest.proof.outcome import Outcome, closed_loop_pole_s
 from flighttest.proof.prove import ProofRequest, run_trials
-from flighttest.proof.scoreboard import markdown, score, share_interval
+from flighttest.proof.scoreboard import score, share_interval
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.rotor_effects import EFFECTS
 from flighttest.sim.plants.rotor_vehicle import random_rotor

@@ -184,7 +184,7 @@ def test_pairs_of_campaigns_are_counted_by_their_flag_and_are_no_clean_trials():
 
 def test_recordings_are_of_the_generator_that_takes_them(tmp_path):
     with pytest.raises(InputError, match="takes no recordings"):
-        run_trials(ProofRequest(1, 1, data=tmp_path))
+        run_trials(ProofRequest(1, 1, "sitl", data=tmp_path))
     with pytest.raises(InputError, match="needs recordings"):
         run_trials(ProofRequest(1, 1, generator="recorded", data=tmp_path))
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from flighttest.errors import InputError
+from flighttest.proof.board_page import rates
 from flighttest.proof.outcome import Outcome
 from flighttest.proof.recorded import cases, sets, trial, wind_pairs
 from flighttest.proof.recorded.wind_pairs import ANOTHER, CHANGED, WindDifference, agrees
-from flighttest.proof.scoreboard import rates, score
+from flighttest.proof.scoreboard import score
 
 LIST = """
 format: recordings/1
