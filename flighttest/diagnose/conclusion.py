@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from flighttest.diagnose.model import Located, Verdict
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import SIGNIFICANCE
+from flighttest.estimation.drift import DISTURBANCE_DRIFT
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
-from flighttest.estimation.uncertainty.drift import DISTURBANCE_DRIFT
 from flighttest.physics.body import DELAY_PARAM
 
 EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained

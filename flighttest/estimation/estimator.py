@@ -117,7 +117,11 @@ class Estimator:
         known = start.noise if begun or not noise else None
         found = solve(
             problem,
-            Start(start.values, replace(known, correlation={}) if known and reported else known, start.nuisance),
+            Start(
+                start.values,
+                known if known and compared_with else known and replace(known, correlation={}),
+                start.nuisance,
+            ),
             free=names,
             robust=False,
             estimate_noise=noise,

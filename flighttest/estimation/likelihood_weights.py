@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.drift import DRIFT, WANDER_S
 from flighttest.estimation.problem import Noise, Part, PartEvaluation, Problem, prior_std
 
 FloatArray = NDArray[np.float64]
@@ -160,9 +161,11 @@ class LikelihoodWeights:
         return np.asarray(sample_weights(made.residual, std, self.robust) * part.mask * response[:, None, None])
 
     def with_correlation_of(self, at: State) -> LikelihoodWeights:
-        """Correlation of each channel from the residuals; as it is where nothing has changed by much."""
+        """Correlation of each channel from the residuals, geometric mean with that of before, on which the residuals depend; as it is where
+        nothing has changed by much."""
         now, parts = self.noise.correlation, zip(self.problem.parts, at.made, strict=True)
-        found = {name: tau for part, made in parts for name, tau in correlations(part, made).items()}
+        every = (pair for part, made in parts for pair in correlations(part, made).items())
+        found = {name: float(np.sqrt(tau * now[name])) if name in now else tau for name, tau in every}
         if all(abs(found[c] / now.get(c, 1.0) - 1.0) < SAME_CORRELATION for c in found):
             return self
         return replace(self, noise=replace(self.noise, correlation={**now, **found}))
@@ -231,25 +234,30 @@ def correlations(part: Part, made: PartEvaluation) -> dict[str, float]:
     """Velocity whose specific force was recorded to the integrated autocorrelation time of its residual within responses, in samples:
     1 + 2 sum rho(lag), up to the first lag below `UNCORRELATED`. Given the force, kinematics make the velocity: what is left of it is the
     state estimator's own error, which wanders. A mean and a trend of each response are left out: its own initial state and disturbance take
-    these up, and where they counted as noise, nothing would determine those."""
+    these up, and where they counted as noise, nothing would determine those. No estimator wanders by more than `DRIFT` for `WANDER_S`: what
+    is more than that is the model's error, whose samples count alike."""
     found = {}
     length = part.mask.shape[1]
+    interval_s = float(np.median([np.median(np.diff(r.t_s)) for r in part.responses]))
     for k, name in enumerate(part.outputs):
         if not (name.startswith("v_") and f"f_{name[2]}_m_s2" in part.outputs):
             continue
-        mask = part.mask[..., k]
+        mask, residual = part.mask[..., k], made.residual[..., k]
 
         def correlated(values: FloatArray) -> FloatArray:
             spectrum = np.abs(np.fft.rfft(values, 2 * length, axis=1)) ** 2
             return np.asarray(np.fft.irfft(spectrum.sum(axis=0), 2 * length)[:length])
 
         pairs = np.round(correlated(mask.astype(float)))
-        product = correlated(_without_trend(made.residual[..., k], mask)) / np.maximum(pairs, 1.0)
+        product = correlated(_without_trend(residual, mask)) / np.maximum(pairs, 1.0)
         below = (pairs < FEWEST_PAIRS) | (product < UNCORRELATED * product[0])
         last = int(np.argmax(below)) if below.any() else length
-        found[name] = (
-            max(1.0, 1.0 + 2.0 * float(product[1:last].sum() / product[0])) if last > 1 and product[0] > 0.0 else 1.0
-        )
+        if last < 2 or not product[0] > 0.0:
+            found[name] = 1.0
+            continue
+        tau = 1.0 + 2.0 * float(product[1:last].sum() / product[0])
+        most = DRIFT[name] ** 2 * WANDER_S / (interval_s * float(np.mean(residual[mask] ** 2)))
+        found[name] = max(1.0, min(tau, most))
     return found
 
 

@@ -22,6 +22,7 @@ from flighttest.estimation.problem import Noise, PartEvaluation, Problem, prior_
 FloatArray = NDArray[np.float64]
 Backs = list[tuple[FloatArray, FloatArray]]
 
+CORRELATIONS = 4  # times that it is learned in a fit; the mean with what was known before lets it settle
 LOCAL_TOLERANCE = (
     0.05  # step of the nuisance parameters at the end, in prior standard deviations, where only they are estimated
 )
@@ -56,7 +57,9 @@ class _PenalisedCost:
     weighing: LikelihoodWeights
     robust_from: int | None  # iteration from which responses are weighted down
     estimate_noise: bool
-    estimate_correlation: bool
+    correlations_left: (
+        int  # how often the correlation of velocities is still learned: each time the variances have settled
+    )
 
     def values(self, theta: FloatArray) -> dict[str, float]:
         """Every value by name."""
@@ -69,10 +72,14 @@ class _PenalisedCost:
     def learn(self, at: State, iteration: int) -> bool:
         """Noise, variances of the nuisance parameters and weights of responses, from the residuals."""
         previous = self.weighing.noise
-        if self.estimate_correlation:
-            self.weighing = self.weighing.with_correlation_of(at)
         if self.estimate_noise:
             self.weighing = self.weighing.with_noise_of(at, self.names)
+        if self.correlations_left and _settled(previous, self.weighing.noise):
+            known, self.correlations_left = self.weighing, self.correlations_left - 1
+            self.weighing = known.with_correlation_of(at)
+            if self.weighing is not known:
+                return False
+            self.correlations_left = 0
         if self.robust_from is not None and iteration >= self.robust_from:
             self.weighing = self.weighing.by_response(at.made)
         return _settled(previous, self.weighing.noise) or not self.estimate_noise
@@ -150,7 +157,7 @@ def solve(
         LikelihoodWeights.even(problem, begin.noise, robust=robust),
         robust_from=None if not robust else 1 if warm else 3,
         estimate_noise=estimate_noise,
-        estimate_correlation=estimate_noise and not (begin.noise and begin.noise.correlation),
+        correlations_left=0 if not estimate_noise or (begin.noise and begin.noise.correlation) else CORRELATIONS,
     )
     theta = space.inside(np.array([objective.base[n] for n in names]))
     found = minimise(
@@ -183,10 +190,7 @@ def log_likelihood(problem: Problem, noise: Noise, cost: float) -> float:
     scale = 0.0
     for part in problem.parts:
         count = part.mask.sum(axis=(0, 1))
-        scale += sum(
-            n / noise.correlation.get(c, 1.0) * np.log(noise.channel[c])
-            for n, c in zip(count, part.outputs, strict=True)
-        )
+        scale += sum(n * np.log(noise.channel[c]) for n, c in zip(count, part.outputs, strict=True))
         scale += len(part.responses) * sum(np.log(noise.disturbance[d]) for d in part.block.disturbances)
     return float(-scale - 0.5 * cost)
 

@@ -22,7 +22,8 @@ def printed(capsys, *words):
     return json.loads(capsys.readouterr().out)
 
 
-def test_models_are_compared_as_the_command_does(fitted, tmp_path, capsys):
+def test_models_are_compared_as_the_command_does(repository, tmp_path, capsys):
+    fitted = ft.fit(ft.read(repository / "tests" / "data" / "sitl_thrust.tlog.xz"))
     first = fitted.model.write(tmp_path / "model.yaml")
     data = copy.deepcopy(dict(fitted.model.data))
     data["parameters"]["K"]["value"] *= 1.5
@@ -93,7 +94,7 @@ def test_a_twin_of_a_log_is_compared_on_its_recorded_commands(fitted, log):
     assert "comparing the twin with the recordings" in seen
 
 
-def test_a_log_becomes_a_run_and_is_listed(log_file, tmp_path, capsys):
+def test_a_log_becomes_a_run_and_is_listed(log_file, repository, tmp_path, capsys):
     made = ft.import_log(log_file, tmp_path / "runs" / "2026-01-01T00-00-00-roll_pitch")
     assert made.recording.has("roll_rad")
     assert made.to_frame().loc["attitude", "rate_hz"] > 1.0
@@ -104,6 +105,10 @@ def test_a_log_becomes_a_run_and_is_listed(log_file, tmp_path, capsys):
     page = Path(ft.report(made.run))
     assert page == made.run / "report.html"
     assert page.stat().st_size > 1_000_000
+    thrust = ft.import_log(
+        repository / "tests" / "data" / "sitl_thrust.tlog.xz", tmp_path / "runs" / "2026-01-02T00-00-00-thrust"
+    )
+    ft.report(thrust.run)
     assert len(ft.runs(tmp_path / "runs").plot().data) > 0
 
 

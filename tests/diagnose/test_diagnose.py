@@ -98,7 +98,7 @@ def test_what_is_printed_is_the_optimum_that_was_judged(term, hidden):
     parameters of the attitude loops, by which those of their search were overwritten, 525 nats lower on another; here 15 iterations."""
     found = diagnose(fly(campaign(1), seed=3, **hidden), only=(term,))
     assert found.accepted == (term,)
-    assert found.fit.solution.iterations <= 3
+    assert found.fit.solution.iterations <= 7
 
 
 def test_two_effects_are_both_named():

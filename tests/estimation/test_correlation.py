@@ -28,10 +28,13 @@ def wandering(rng, rho, responses=200, samples=150):
     return x
 
 
-def counted(residual, outputs=("f_x_m_s2", "v_x_m_s"), mask=None):
-    whole = np.stack([np.zeros_like(residual), residual], axis=2)
+def counted(residual, outputs=("f_x_m_s2", "v_x_m_s"), mask=None, size=0.01):
+    """Of a residual (m, n) times `size`, m/s, at 50 Hz."""
+    whole = size * np.stack([np.zeros_like(residual), residual], axis=2)
     mask = np.ones(whole.shape, dtype=bool) if mask is None else mask
-    return correlations(SimpleNamespace(outputs=outputs, mask=mask), SimpleNamespace(residual=whole))
+    responses = [SimpleNamespace(t_s=0.02 * np.arange(whole.shape[1]))] * len(whole)
+    part = SimpleNamespace(outputs=outputs, mask=mask, responses=responses)
+    return correlations(part, SimpleNamespace(residual=whole))
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])
@@ -50,6 +53,14 @@ def test_gaps_are_no_samples(rng):
 def test_what_an_initial_state_and_a_disturbance_take_up_is_no_correlation(rng):
     ramps = rng.normal(size=(200, 1)) + rng.normal(size=(200, 1)) * np.linspace(-1.0, 1.0, 150)
     assert counted(rng.normal(size=(200, 150)) + 30.0 * ramps)["v_x_m_s"] < 1.3
+
+
+@pytest.mark.parametrize(("size", "most"), [(0.03, 50.0), (0.06, 12.5), (0.3, 1.0)])
+def test_no_estimator_wanders_by_more_than_three_centimetres_per_second_for_a_second(rng, size, most):
+    """Beyond that it is physics that is missing: on a log of ArduPilot's simulator the velocity counted for nothing beside a linear drag,
+    and an accelerometer was said to be 0.14 m/s^2 off, which the velocity excludes."""
+    found = counted(wandering(rng, 0.99, samples=600), size=size)["v_x_m_s"]
+    assert found == pytest.approx(most, rel=0.1)
 
 
 def test_only_a_velocity_whose_specific_force_was_recorded_counts_less(rng):

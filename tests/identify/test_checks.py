@@ -89,7 +89,7 @@ def test_throttle_and_tilt_steps_of_different_vehicles_are_distinguished():
     throttle = [s for s in campaign(1) if s.kind == "throttle_step"]
     tilt = [
         s
-        for s in campaign(2, truth={**TRUTH, "sigma_t": 12.0, "d_x": 0.7, "d_y": 0.7, "K": 80.0})
+        for s in campaign(2, truth={**TRUTH, "sigma_t": 12.0, "d_x": 0.1, "d_y": 0.1, "K": 80.0})
         if s.kind != "throttle_step"
     ]
     result = block_coordinate_descent(fit([*throttle, *tilt]))

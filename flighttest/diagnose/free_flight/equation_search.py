@@ -22,9 +22,9 @@ from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import PROBABILITY, probability_of
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.errors import FitError
+from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.uncertainty.distributions import chi2_beyond, fisher_beyond
-from flighttest.estimation.uncertainty.drift import DRIFT
 from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight import FreeFlight, estimate
 from flighttest.identify.motion_equations import LATENCY, Equations

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.linearisation import IntArray, Linearisation
 from flighttest.estimation.uncertainty.distributions import fisher_quantile
-from flighttest.estimation.uncertainty.drift import DRIFT
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]

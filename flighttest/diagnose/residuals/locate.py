@@ -16,9 +16,9 @@ from flighttest.diagnose.model import Located, brief, flown, short
 from flighttest.diagnose.records import MapCell, Regime, RegimeCurve
 from flighttest.diagnose.residuals.discrepancy import correlation_times
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, power_of_noise
+from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.linearisation import IntArray, Linearisation
 from flighttest.estimation.responses import zero_order_hold
-from flighttest.estimation.uncertainty.drift import DRIFT
 from flighttest.frames import compass_from_yaw, rotation_from_euler, wrap_angle
 from flighttest.segments.model import Segment
 

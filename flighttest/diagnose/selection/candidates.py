@@ -9,9 +9,9 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from flighttest.estimation.drift import DISTURBANCE_DRIFT
 from flighttest.estimation.estimator import Estimator, finite
 from flighttest.estimation.linearisation import FloatArray, Linearisation, Optimum
-from flighttest.estimation.uncertainty.drift import DISTURBANCE_DRIFT
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 

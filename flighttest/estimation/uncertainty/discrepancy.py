@@ -29,11 +29,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.drift import DISTURBANCE_DRIFT
 from flighttest.estimation.likelihood_weights import LikelihoodWeights, State
 from flighttest.estimation.problem import Noise, Part, Problem, kinds_of, prior_std
 from flighttest.estimation.solver import Solution
 from flighttest.estimation.uncertainty.distributions import expected_excess
-from flighttest.estimation.uncertainty.drift import DISTURBANCE_DRIFT
 
 FloatArray = NDArray[np.float64]
 

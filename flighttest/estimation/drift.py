@@ -7,6 +7,7 @@ DRIFT = {"roll_rad": 2e-3, "pitch_rad": 2e-3, "r_rad_s": 5e-3} | {
     for k, unit, std in (("f", "m_s2", 0.05), ("a", "m_s2", 0.1), ("v", "m_s", 0.03))
     for axis in "xyz"
 }
+WANDER_S = 1.0  # integrated autocorrelation of what a velocity estimate wanders by; ArduPilot's EKF: 0.4 to 0.7 s
 # The same of the constant disturbances of responses: what drifts in seconds stays for all of a short flight.
 DISTURBANCE_DRIFT = {
     "roll_d_rad": DRIFT["roll_rad"],
