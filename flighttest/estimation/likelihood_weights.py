@@ -23,7 +23,6 @@ LARGEST = (
     1e12  # SI units: no residual or sensitivity of an aircraft comes near, one of a simulation that diverged passes it
 )
 UNCORRELATED = 0.05  # sums of autocorrelations end below it (Sokal's window, by value)
-FEWEST_PAIRS = 20  # of samples that such an autocorrelation is of
 SAME_CORRELATION = 0.1  # by which a correlation has to change to be learned anew
 NOISE_STEPS = 50
 NOISE_TOLERANCE = 0.003  # of the fixed point of the variances; the solver asks for 3 % between its steps
@@ -250,7 +249,7 @@ def correlations(part: Part, made: PartEvaluation) -> dict[str, float]:
 
         pairs = np.round(correlated(mask.astype(float)))
         product = correlated(_without_trend(residual, mask)) / np.maximum(pairs, 1.0)
-        below = (pairs < FEWEST_PAIRS) | (product < UNCORRELATED * product[0])
+        below = product < UNCORRELATED * product[0]
         last = int(np.argmax(below)) if below.any() else length
         if last < 2 or not product[0] > 0.0:
             found[name] = 1.0

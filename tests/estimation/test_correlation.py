@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flighttest.estimation import likelihood_weights
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.likelihood_weights import LikelihoodWeights, State, correlations, start_noise
 from flighttest.estimation.solver import Start, solve
@@ -81,6 +82,24 @@ def test_a_velocity_whose_error_wanders_is_seen_to():
         assert found.values[name] == pytest.approx(true, rel=0.03)
     again = solve(found.problem, Start(noise=replace(found.noise, correlation={"v_x_m_s": 7.0})), robust=False)
     assert again.noise.correlation == {"v_x_m_s": 7.0}, "what is known is kept"
+
+
+def test_a_correlation_that_swings_is_learned_four_times_and_ends(monkeypatch):
+    """Residuals depend on the weights: learned at every step it swung between two values, and a fit ended elsewhere after 40 steps."""
+    taus = []
+
+    def swinging(_part, _made):
+        taus.append(1.0 if len(taus) % 2 else 30.0)
+        return {"v_z_m_s": taus[-1]}
+
+    monkeypatch.setattr(likelihood_weights, "correlations", swinging)
+    segments = tuple(fly(campaign(1, tilts=False, yaws=False)))[:6]
+    estimator, model = Estimator(segments, "translation", able), default_model(segments)
+    found = solve(estimator.problem(model), robust=False)
+    assert found.status.good
+    assert len(taus) == 4
+    # 30, then the mean with 1, with 30, with 1.
+    assert found.noise.correlation["v_z_m_s"] == pytest.approx(30.0 ** (0.5 * (0.5 * (0.5 + 1.0))))
 
 
 def test_four_samples_that_count_as_one_weigh_as_twice_the_standard_deviation():
