@@ -39,7 +39,8 @@ FloatArray = NDArray[np.float64]
 
 BIN_S = 0.1  # residuals are averaged over it before repeats are compared
 # Of the standard deviation of the modelled responses. `python -m benchmarks.intervals`: of 48 known parameters of effects in 35 sealed
-# flights 77 % are inside their 95 % intervals at 0, 96 % from 0.02 to 0.2. More than is needed there, for vehicles that obey the equations less.
+# flights 77 % are inside their 95 % intervals at 0, 96 % from 0.02 to 0.2. More than is needed there, for vehicles that obey the
+# equations less.
 SHARE = 0.05
 FEWEST_DIFFERENCES = 5.0  # degrees of freedom between repeats below which they are not used
 
