@@ -87,6 +87,12 @@ def test_samples_that_are_missing_do_not_hide_correlation():
     problem, noise = SimpleNamespace(parts=[part]), SimpleNamespace(channel={"v_x_m_s": 1.0}, correlation={})
     found = variance_inflation_of(problem, [SimpleNamespace(residual=e)], noise)
     assert found == pytest.approx(19.0, rel=0.2), "ten alike in a row: rho is 0.9"
+    noise.correlation = {"v_y_m_s": 19.0, "v_x_m_s": 1.0}
+    assert variance_inflation_of(problem, [SimpleNamespace(residual=e)], noise) == found, (
+        "what counts alike is correlated still"
+    )
+    noise.correlation = {"v_x_m_s": 19.0}
+    assert variance_inflation_of(problem, [SimpleNamespace(residual=e)], noise) == 1.0, "its weights contain it"
 
 
 def test_a_clock_error_widens_all_delays_alike_and_nothing_else(found):

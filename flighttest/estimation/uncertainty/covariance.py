@@ -112,14 +112,13 @@ def variance_inflation(residuals: list[FloatArray]) -> float:
 
 
 def variance_inflation_of(problem: Problem, evaluations: Sequence[PartEvaluation], noise: Noise) -> float:
-    """`variance_inflation` of all residuals of a problem, 1 where the weights contain their correlation."""
-    if noise.correlation:
-        return 1.0
+    """`variance_inflation` of the residuals of a problem, but of channels whose weights contain their correlation."""
     return variance_inflation(
         [
             made.residual[j, part.mask[j, :, k], k] / noise.channel[c]
             for part, made in zip(problem.parts, evaluations, strict=True)
             for k, c in enumerate(part.outputs)
+            if noise.correlation.get(c, 1.0) == 1.0
             for j in range(len(part.responses))
         ]
     )
