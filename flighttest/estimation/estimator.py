@@ -115,13 +115,11 @@ class Estimator:
         problem = self.problem(model)
         begun = bool(start.nuisance)
         known = start.noise if begun or not noise else None
+        if known is not None and compared_with is None:
+            known = replace(known, correlation={})  # learned anew
         found = solve(
             problem,
-            Start(
-                start.values,
-                known if known and compared_with else known and replace(known, correlation={}),
-                start.nuisance,
-            ),
+            Start(start.values, known, start.nuisance),
             free=names,
             robust=False,
             estimate_noise=noise,

@@ -49,7 +49,8 @@ class Solution:
 
 @dataclass
 class _PenalisedCost:
-    """The objective of a `Problem` by the `names`; base: every value, for those that are not estimated. weighing changes on the way."""
+    """The objective of a `Problem` by the `names`; base: every value, for those that are not estimated. weighing changes on the way;
+    correlations_left: how often the correlation of velocities is still learned, each time that the variances have settled."""
 
     problem: Problem
     names: tuple[str, ...]
@@ -57,9 +58,7 @@ class _PenalisedCost:
     weighing: LikelihoodWeights
     robust_from: int | None  # iteration from which responses are weighted down
     estimate_noise: bool
-    correlations_left: (
-        int  # how often the correlation of velocities is still learned: each time the variances have settled
-    )
+    correlations_left: int
 
     def values(self, theta: FloatArray) -> dict[str, float]:
         """Every value by name."""

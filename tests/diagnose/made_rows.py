@@ -1,7 +1,8 @@
-"""Linearised rows with columns and residuals of one's own making, and the responses they are of."""
+"""Linearised rows with columns and residuals of one's own making, the responses they are of, and evidence of a term."""
 
 import numpy as np
 
+from flighttest.diagnose.selection.comparison import Evidence
 from flighttest.estimation.linearisation import Linearisation, Projection
 from flighttest.segments.model import Segment
 
@@ -37,3 +38,12 @@ def autoregressive(rng, shape, rho):
     for k in range(1, shape[1]):
         x[:, k] = rho * x[:, k - 1] + np.sqrt(1 - rho**2) * rng.normal(size=shape[0])
     return x
+
+
+def evidence(term, nats=100.0, inadmissible="", floors=5.0, without=None):
+    """Of a term that is needed, or why its estimates cannot be."""
+    nothing = np.zeros(0)
+    place = ("f_z_m_s2", "roll_step")
+    return Evidence(
+        term, nats, float(nats > 10.0), floors, place, nothing, nothing, inadmissible, without, ("f_z_m_s2",)
+    )

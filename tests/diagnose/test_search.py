@@ -5,14 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_rows import rows_of
+from made_rows import evidence, rows_of
 
-from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
 from flighttest.diagnose.selection import aliases as aliases_module
 from flighttest.diagnose.selection import search as search_module
 from flighttest.diagnose.selection.aliases import Alias, aliases_of
 from flighttest.diagnose.selection.candidates import Candidate, candidates_at
-from flighttest.diagnose.selection.comparison import Evidence, Fitted
+from flighttest.diagnose.selection.comparison import Fitted
 from flighttest.diagnose.selection.search import Search, astray
 from flighttest.diagnose.selection.subsets import Scored
 from flighttest.estimation.linearisation import Optimum
@@ -28,14 +27,6 @@ QUIET = Noise({}, {})
 
 def fitted(*terms):
     return Fitted(SimpleNamespace(terms=tuple(sorted(terms))), (), SimpleNamespace(objective=1.0), NUMBERS)
-
-
-def evidence(term, nats=100.0, inadmissible="", floors=5.0, without=None):
-    nothing = np.zeros(0)
-    place = ("f_z_m_s2", "roll_step")
-    return Evidence(
-        term, nats, float(nats > 10.0), floors, place, nothing, nothing, inadmissible, without, ("f_z_m_s2",)
-    )
 
 
 @dataclass
@@ -324,64 +315,6 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
     assert alias.cosine == pytest.approx(cosine)
     assert bool(asked) is tried
     assert alias.confusable is tried
-
-
-@pytest.mark.parametrize(
-    ("after", "groups", "named"),
-    [
-        (0.5, 20, {"a"}),
-        (1.0, 20, set()),
-        (2.0, 20, set()),
-        (2.0, 5, {"a"}),
-        # A limit that a few stretches of a log reached took 45 % of the error, all of it in these.
-        (np.repeat(np.where(np.arange(20) < 3, 0.3, 1.00001), 50), 20, {"a"}),
-        (np.repeat(np.where(np.arange(20) < 6, 0.3, 1.9), 50), 20, set()),
-    ],
-)
-def test_names_that_predict_what_was_not_used_no_better_are_withdrawn(monkeypatch, rng, after, groups, named):
-    """A crashed flight had a wind and unequal spin-up named, each needed beside the other, with which lateral speed was off eleven times
-    as far; on hops with a cut propeller a vortex ring, with which no channel was surely better."""
-    noise = rng.normal(size=1000)
-    base, now = (
-        Fitted(
-            SimpleNamespace(terms=()),
-            (),
-            SimpleNamespace(objective=1.0, values={}),
-            rows_of(noise * f, np.zeros((1000, 0))),
-        )
-        for f in (1.0, after)
-    )
-    pool = (SimpleNamespace(id="a"),)
-    floor = NoiseFloor({"f_z_m_s2": 0.1, "v_z_m_s": 0.1}, frozenset(), {})
-    search = Search(SimpleNamespace(segments=()), pool, np.arange(20) % groups, base=base, now=now, floor=floor)
-    search.evidence = {"a": evidence("a")}
-    monkeypatch.setattr(Search, "linearise", lambda _self: None)
-    search.judge_as_a_whole()
-    assert set(search.evidence) == named
-    assert search.now is (now if named else base)
-    assert ("a" in search.rejected) is not bool(named)
-    assert all("predicted better" in e.why_not for e in search.rejected.values())
-
-
-@pytest.mark.parametrize(("floor", "named"), [(0.1, set()), (3.0, {"a"})])
-def test_a_channel_below_its_noise_floor_withdraws_no_name(monkeypatch, rng, floor, named):
-    """A latency of 0.36 s (24 noise floors; velocity off by 0.025 and 0.031 for 0.125 and 0.26 m/s) was withdrawn on a simulator's log,
-    since two specific forces were off by 0.027 and 0.057 for 0.021 and 0.032 m/s^2, where 0.05 is noise."""
-    channel = np.arange(1000) % 2
-    noise, factor = rng.normal(size=1000), np.where(channel == 0, 0.5, 2.5)
-    base, now = (
-        Fitted(SimpleNamespace(terms=()), (), SimpleNamespace(objective=1.0, values={}), rows)
-        for rows in (rows_of(noise * f, np.zeros((1000, 0)), channel=channel) for f in (1.0, factor))
-    )
-    better, worse = base.rows.channels
-    floors = NoiseFloor({better: 0.1, worse: floor}, frozenset(), {})
-    search = Search(
-        SimpleNamespace(segments=()), (SimpleNamespace(id="a"),), np.arange(20), base=base, now=now, floor=floors
-    )
-    search.evidence = {"a": evidence("a")}
-    monkeypatch.setattr(Search, "linearise", lambda _self: None)
-    search.judge_as_a_whole()
-    assert set(search.evidence) == named
 
 
 class Half:

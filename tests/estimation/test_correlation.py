@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 from flighttest.estimation import likelihood_weights
+from flighttest.estimation.autocorrelation import correlations
 from flighttest.estimation.estimator import Estimator
-from flighttest.estimation.likelihood_weights import LikelihoodWeights, State, correlations, start_noise
+from flighttest.estimation.likelihood_weights import LikelihoodWeights, State, start_noise
 from flighttest.estimation.solver import Start, solve
 from flighttest.identify.fit import default_model, fit
 from flighttest.identify.fixed_parameters import stored_noise
 from flighttest.identify.selection import able
 from tests.diagnose.flight import TRUE, campaign, fly
+from tests.diagnose.made_rows import autoregressive
 
 
 @pytest.fixture
@@ -22,11 +24,7 @@ def rng():
 
 
 def wandering(rng, rho, responses=200, samples=150):
-    """(responses, samples) of first-order autoregression."""
-    x = rng.normal(size=(responses, samples))
-    for k in range(1, samples):
-        x[:, k] = rho * x[:, k - 1] + np.sqrt(1.0 - rho**2) * x[:, k]
-    return x
+    return autoregressive(rng, (responses, samples), rho)
 
 
 def counted(residual, outputs=("f_x_m_s2", "v_x_m_s"), mask=None, size=0.01):

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.residuals.lack_of_fit import SIGNIFICANCE, NoiseFloor
+from flighttest.estimation.autocorrelation import UNCORRELATED, lagged_products
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation
 from flighttest.estimation.problem import cells_of
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
@@ -31,7 +32,6 @@ from flighttest.segments.model import Segment
 
 BIN_S = 0.05  # residuals are averaged over it before they are correlated
 LONGEST_S = 300.0  # from the step: later samples of a response count as if they were this late
-UNCORRELATED = 0.05  # sums of autocorrelations end below it (Sokal's window, by value)
 FEWEST_PAIRS = 20
 
 
@@ -122,13 +122,9 @@ def _integrated(x: FloatArray, segment: NDArray[np.intp], bins: NDArray[np.intp]
     if power <= 0.0 or variance <= 0.0:
         return 1.0
 
-    def correlated(values: FloatArray) -> FloatArray:
-        spectrum = np.abs(np.fft.rfft(values, 2 * length, axis=1)) ** 2
-        return np.asarray(np.fft.irfft(spectrum.sum(axis=0), 2 * length)[:length])
-
     by_cell = np.zeros((int(cells.max()) + 1, length))
     np.add.at(by_cell, cells, mean)
-    own, pairs, together = correlated(mean), correlated(seen), correlated(by_cell)
+    own, pairs, together = (lagged_products(some) for some in (mean, seen, by_cell))
     sum_of = 0.0
     for lag in range(length):
         if pairs[lag] < FEWEST_PAIRS or (lag and own[lag] / pairs[lag] < UNCORRELATED * power):

@@ -190,8 +190,7 @@ def stratum_gains(
     A response is predicted by parameters from other groups and by its own nuisance parameters, which are strata of their own. So the
     constant disturbance of a response does not hide whether the rest of it is predicted better.
     """
-    n = int(groups.max()) + 1
-    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS).astype(float)
+    draws = _resampled(groups, seed)
     found = {}
     for name in before.rows.strata:
         old, new = before.by_group(name, groups), after.by_group(name, groups)
@@ -228,9 +227,7 @@ def gains_held_out(
     before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, seed: int = 0
 ) -> dict[str, HeldOut]:
     """Both models on the same samples."""
-    rng = np.random.default_rng(seed)
-    n = int(groups.max()) + 1
-    draws = rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS).astype(float)
+    draws = _resampled(groups, seed)
     found = {}
     for name in (c for c in before.rows.channels if c in after.rows.channels):
         (ss_b, n_b), (ss_a, n_a) = before.squares(name, groups), after.squares(name, groups)
@@ -249,12 +246,11 @@ def gains_held_out(
 
 
 def error_ratio_95(
-    before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, seed: int = 0
+    before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor
 ) -> tuple[float, float]:
     """95 % interval (bootstrap over groups) of the errors of one model over those of another, geometric mean over the channels that one of
     them misses by more than the noise floor; (1, 1) where there is none."""
-    n = int(groups.max()) + 1
-    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS).astype(float)
+    draws = _resampled(groups, 0)
     logs = []
     for name in (c for c in before.rows.channels if c in after.rows.channels):
         (ss_b, n_b), (ss_a, _) = before.squares(name, groups), after.squares(name, groups)
@@ -262,6 +258,12 @@ def error_ratio_95(
             logs.append(0.5 * np.log(np.maximum(draws @ ss_a, 1e-300) / np.maximum(draws @ ss_b, 1e-300)))
     low, high = np.exp(np.quantile(np.mean(logs, axis=0), [0.025, 0.975])) if logs else (1.0, 1.0)
     return float(low), float(high)
+
+
+def _resampled(groups: IntArray, seed: int) -> FloatArray:
+    """(draws, groups) how often each group is in a bootstrap sample."""
+    n = int(groups.max()) + 1
+    return np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS).astype(float)
 
 
 def places(rows: Linearisation, segments: Sequence[Segment]) -> dict[tuple[str, str], IntArray]:

@@ -238,12 +238,12 @@ class Search:
             if worst is None:
                 return fitted, {t: self._evidence(t, fitted) for t in sorted(members)}, left
             if worst.inadmissible and worst.floors >= LEAST_FLOORS:
-                worst = self._in_the_way(worst, members, fitted)
+                worst = self._leaves_instead(worst, members, fitted)
             left[worst.term] = worst
             self.progress(f"{worst.term} is not needed: {worst.why_not}")
             fitted = self.refined(worst.without)
 
-    def _in_the_way(self, refused: Evidence, members: frozenset[str], fitted: Fitted) -> Evidence:
+    def _leaves_instead(self, refused: Evidence, members: frozenset[str], fitted: Fitted) -> Evidence:
         """The term that leaves where the estimates of one are inadmissible: the least of those that explain less and without which they are
         admissible, else that one. (Beside a third pole of 185 nats the feedforward of a reference shaping of 92,000 ran to its bound.)"""
         rest = (self._evidence(t, fitted) for t in sorted(members - {refused.term}))

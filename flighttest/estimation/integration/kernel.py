@@ -2,7 +2,8 @@
 
 A response is a row of nodes: sample times and delayed input edges, merged (see `estimation.responses`). Between nodes inputs are constant,
 so one RK4 step per node is smooth in the state and the parameters. Of the delay the derivative is that of the continuous solution: where
-inputs change from u to v, that of the state jumps by f(x, u) - f(x, v), since a later edge keeps the old rate for longer. (Nodes that move
+inputs change from u to v, that of the state jumps by f(x, u) - f(x, v), since a later edge keeps the old rate for longer
+(jump of forward sensitivities at a discontinuity; Rozenvasser 1967). (Nodes that move
 with the delay would take the measured signals along, which are functions of time and not of the delay.) No output depends on an input
 directly.
 
