@@ -19,9 +19,10 @@ def prediction_quality(
     segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise, free: Sequence[str] = ()
 ) -> dict[str, ChannelQuality]:
     """Residuals of responses whose parameters are held: only initial states and each response's disturbance are estimated, and the
-    parameters that are free."""
+    parameters that are free. Samples count alike: how a flight began is seen in each of them."""
     problem = problem_of(segments, model, select="all", values=values)
-    solution = solve(problem, Start(noise=noise), free=tuple(free), robust=False, estimate_noise=False)
+    alike = Noise(noise.channel, noise.disturbance)
+    solution = solve(problem, Start(noise=alike), free=tuple(free), robust=False, estimate_noise=False)
     return channel_quality(problem, finite_or_error(solution))
 
 

@@ -380,9 +380,9 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
 def heldout(found: Fit, segments: Sequence[Segment], select: Select = "paper") -> tuple[Problem, Solution]:
     """A fit's parameters on segments it has not seen: only initial states and disturbances are estimated there."""
     problem = problem_of(segments, found.model, select=select, values=found.values)
-    noise = found.noise
+    noise = Noise(found.noise.channel, found.noise.disturbance)  # samples count alike: each shows how a flight began
     missing = {c for part in problem.parts for c in part.outputs} - set(noise.channel)
     if missing:
         extra = start_noise(problem)
-        noise = Noise({**extra.channel, **noise.channel}, {**extra.disturbance, **noise.disturbance}, noise.correlation)
+        noise = Noise({**extra.channel, **noise.channel}, {**extra.disturbance, **noise.disturbance})
     return problem, finite_or_error(solve(problem, Start(noise=noise), free=(), robust=False, estimate_noise=False))
