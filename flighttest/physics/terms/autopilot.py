@@ -374,7 +374,9 @@ def _coupling(s: Signals, p: Values, _x: Values) -> Contribution:
 
 
 def _coupling_param(name: str, what: str) -> Param:
-    return Param(name, name, "1", 0.05, -0.5, 0.5, 0.03, what, "frame asymmetry, IMU turned by a few degrees: 0 to 0.1")
+    return Param(
+        name, name, "1", 0.05, -1.0, 1.0, 0.03, what, "IMU turned by a few degrees: 0 to 0.1; by 45 degrees: 1"
+    )
 
 
 roll_pitch_coupling = Term(
