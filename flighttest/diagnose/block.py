@@ -6,7 +6,7 @@ Blocks share nothing but the recordings, so that they can be searched in paralle
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -110,7 +110,10 @@ def answer(block: str, asked: Asked) -> BlockAnswer:
         estimator, pool, asked.groups, inactive, origin, progress=lambda text: asked.tell(f"{block}: {text}")
     )
     try:
-        search.run(own, estimator.start(own, asked.base.values))
+        begun = replace(
+            estimator.start(own, asked.base.values), noise=asked.base.noise, nuisance=dict(asked.base.start.nuisance)
+        )
+        search.run(own, begun)
     except KeyboardInterrupt:
         made.complete = False
     if search.now is not None and search.floor is not None:
@@ -188,18 +191,20 @@ def _candidates(search: Search) -> list[CandidateRow]:
             }
         )  # fmt: skip
     done = {f["term"] for f in found}
-    best: dict[str, float] = {}
-    if search.subsets is not None:
-        for s in search.scored:
-            for term in search.subsets.terms(s):
-                best[term] = max(best.get(term, -np.inf), s.log_odds if len(s.members) == 1 else -np.inf)
-    for term, log_odds in sorted(best.items(), key=lambda kv: -kv[1]):
-        if term not in done and np.isfinite(log_odds):
-            probability = 1.0 / (1.0 + float(np.exp(min(-log_odds, 700.0))))
+    if search.subsets is None or search.sizes is None:
+        return found
+    alone = [s for s in search.scored if len(s.members) == 1]
+    for s, size in zip(alone, search.sizes.least(alone), strict=True):
+        (term,) = search.subsets.terms(s)
+        if term not in done:
+            probability = 1.0 / (1.0 + float(np.exp(min(-s.log_odds, 700.0))))
+            why = f"screened: log odds {s.log_odds:.1f} beside the final model"
+            if s.log_odds > 0.0:
+                why += f", an effect of {size:.2g} noise floors, too small to be distinguished from a clean vehicle"
             found.append(
                 {
-                    "term": term, "verdict": TermVerdict.NOT_NEEDED, "delta_bic": -2.0 * log_odds, "probability": probability,
-                    "floors": None, "why": f"screened: log odds {log_odds:.1f} beside the final model",
+                    "term": term, "verdict": TermVerdict.NOT_NEEDED, "delta_bic": -2.0 * s.log_odds, "probability": probability,
+                    "floors": None, "why": why,
                 }
             )  # fmt: skip
     return found

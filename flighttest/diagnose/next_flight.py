@@ -241,7 +241,7 @@ def log_odds(
         )
     else:
         without = model.without_terms(question.term.id)
-        effect = -rows.profiled(estimator.difference(model, there, without, estimator.moved(without, at)))[:, 0]
+        effect = -rows.profiled(estimator.difference(model, there, without))[:, 0]
     basis = orthonormal(rows.columns(others))
     left = effect - basis @ (basis.T @ effect)
     return 0.5 * float(left @ left) / CORRELATED

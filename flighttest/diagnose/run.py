@@ -33,12 +33,11 @@ from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels
 from flighttest.diagnose.selection.held_out import held_out_groups
 from flighttest.diagnose.selection.search import Search, silent
 from flighttest.errors import FitError
-from flighttest.estimation.estimator import BLOCKS, Estimator
+from flighttest.estimation.estimator import BLOCKS
 from flighttest.estimation.problem import Noise
 from flighttest.estimation.solver import Start
 from flighttest.identify.diagnostics.local_optima import misfit
 from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
-from flighttest.identify.selection import able
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -95,7 +94,7 @@ def diagnose(
     say = progress or silent
     say("fitting the base model")
     base = _fitted(usable, model, {k: v[0] for k, v in (previous or {}).items()})
-    kept, aside = set_aside(Estimator(usable, "translation", able), model, base.values)
+    kept, aside = set_aside(usable, base.start.nuisance)
     if aside:
         base = _fitted(kept, model, base.values)
     groups, group_name = held_out_groups(kept)
@@ -277,7 +276,8 @@ def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
         return asked.base
     start = {n: v for n, v in asked.base.values.items() if n in final.names}
     held: dict[str, float] = {}
-    channel, disturbance = dict(asked.base.noise.channel), dict(asked.base.noise.disturbance)
+    noise = asked.base.noise
+    channel, disturbance, correlation = dict(noise.channel), dict(noise.disturbance), dict(noise.correlation)
     nuisance = dict(asked.base.start.nuisance)
     for search in searches:
         assert search.now is not None
@@ -286,8 +286,9 @@ def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
         start |= {n: values[n] for n in search.now.names} | held
         channel |= search.now.at.noise.channel
         disturbance |= search.now.at.noise.disturbance
+        correlation |= search.now.at.noise.correlation
         nuisance |= search.now.at.nuisance
-    begun = Start(start, Noise(channel, disturbance), nuisance)
+    begun = Start(start, Noise(channel, disturbance, correlation), nuisance)
     return fit(asked.segments, final, select="all", start=begun, frozen=held, robust=False)
 
 

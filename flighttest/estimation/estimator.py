@@ -75,10 +75,13 @@ class Estimator:
 
     def moved(self, model: Model, at: Optimum, values: Mapping[str, float] | None = None) -> Optimum:
         """The same point under another model, or with other values: what holds for both is kept."""
-        full = self.problem(model).full_values(model.start())
-        full |= {k: v for k, v in at.values.items() if k in full} | dict(values or {})
-        made = replace(at, values=full)
+        made = replace(at, values=self.values_of(model, at, values))
         return replace(made, objective=self.objective(model, made))
+
+    def values_of(self, model: Model, at: Optimum, values: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Every value of a model: those given, else those of a point where it has them, else its start's."""
+        full = self.problem(model).full_values(model.start())
+        return full | {k: v for k, v in at.values.items() if k in full} | dict(values or {})
 
     def objective(self, model: Model, at: Optimum) -> float:
         """Whitened sum of squares; infinite where the simulation is not finite."""
@@ -105,7 +108,7 @@ class Estimator:
     ) -> Optimum:
         """Damped Gauss-Newton over `names` and all nuisance parameters (`solver.solve`); noise: whether variances are estimated, too.
         compared_with: log likelihood that the optimum's is only compared with, for which it needs not be found to the last nat
-        (`Tolerances`); reported: found as a fit is, whose values are printed.
+        (`Tolerances`); reported: found as a fit is, whose values are printed. A correlation that the start has is kept.
 
         The variance of a response's disturbance is that between repeats of a cell: what repeats have in common is the model's error and
         stays in the residual. A start from which the simulation is not finite is given back as it is.
@@ -115,8 +118,6 @@ class Estimator:
         problem = self.problem(model)
         begun = bool(start.nuisance)
         known = start.noise if begun or not noise else None
-        if known is not None and compared_with is None:
-            known = replace(known, correlation={})  # learned anew
         found = solve(
             problem,
             Start(start.values, known, start.nuisance),
@@ -211,12 +212,15 @@ class Estimator:
                 return made
         return problem.evaluate(at.values, problem.placed(at.nuisance), list(names))
 
-    def derivatives(self, model: Model, at: Optimum, names: Sequence[str]) -> list[FloatArray]:
-        """Per part (m, samples times outputs, len(names)): derivatives of the outputs, in the channels' units."""
-        problem = self.problem(model)
+    def derivatives(
+        self, model: Model, at: Optimum, names: Sequence[str], values: Mapping[str, float] | None = None
+    ) -> list[FloatArray]:
+        """Per part (m, samples times outputs, len(names)): derivatives of the outputs, in the channels' units. values: other than the
+        point's."""
+        problem, there = self.problem(model), self.values_of(model, at, values)
         found = []
         for part, made in zip(
-            problem.parts, problem.evaluate(at.values, problem.placed(at.nuisance), list(names)), strict=True
+            problem.parts, problem.evaluate(there, problem.placed(at.nuisance), list(names)), strict=True
         ):
             m, n, n_y = part.y.shape
             jacobian = made.jacobian.reshape(m, n * n_y, -1)
@@ -226,8 +230,11 @@ class Estimator:
             found.append(placed)
         return found
 
-    def difference(self, model: Model, at: Optimum, changed: Model, there: Optimum) -> list[FloatArray]:
-        """Per part (m, samples times outputs, 1): change of the outputs from one model to another, in the channels' units.
+    def difference(
+        self, model: Model, at: Optimum, changed: Model, values: Mapping[str, float] | None = None
+    ) -> list[FloatArray]:
+        """Per part (m, samples times outputs, 1): change of the outputs from a point of one model to the same with another model, or with
+        other values, in the channels' units.
 
         Both models must have the same parts; the nuisance parameters are `at`'s.
         """
@@ -237,7 +244,7 @@ class Estimator:
             for part, a, b in zip(
                 first.parts,
                 first.evaluate(at.values, first.placed(at.nuisance)),
-                second.evaluate(there.values, second.placed(there.nuisance)),
+                second.evaluate(self.values_of(changed, at, values), second.placed(at.nuisance)),
                 strict=True,
             )
         ]

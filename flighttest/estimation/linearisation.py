@@ -8,7 +8,7 @@ problem in which l_i is marginalised (Schur complement), so that models can be c
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,6 +32,11 @@ class Optimum:
     noise: Noise
     objective: float
     log_likelihood: float = -np.inf
+
+    @property
+    def without_correlation(self) -> Optimum:
+        """As the start of a fit that learns the correlation of channels anew: what a term explains is in it no longer."""
+        return replace(self, noise=replace(self.noise, correlation={}))
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,7 @@ class Linearisation:
     @property
     def channel(self) -> IntArray:
         """(n,) index into `channels`, -1 for priors."""
-        return np.where(self.sample >= 0, self.stratum, -1)
+        return self.once("channel", lambda: np.where(self.sample >= 0, self.stratum, -1))
 
     @property
     def strata(self) -> tuple[str, ...]:

@@ -8,9 +8,7 @@ import pytest
 from flight import campaign, fly
 
 from flighttest.diagnose.residuals.outlying import LEAST, outlying, outlying_in_words, set_aside
-from flighttest.estimation.estimator import Estimator
-from flighttest.identify.fit import default_model
-from flighttest.identify.selection import able
+from flighttest.identify.fit import fit
 
 
 def response(cell, t_s, kind="throttle_step"):
@@ -30,7 +28,7 @@ def state(north, up=None):
         "a_d_y_m_s2": np.zeros_like(north),
         "a_d_z_m_s2": np.asarray(up if up is not None else 0 * north),
     }
-    return SimpleNamespace(nuisance=local)
+    return local
 
 
 USUAL = np.tile([0.05, -0.04, 0.02, -0.03], 5)
@@ -79,13 +77,13 @@ def test_free_flight_has_no_repeats_and_what_was_not_measured_no_push():
     pushed = USUAL.copy()
     pushed[3] = 2.0
     assert outlying(state(pushed), flown(pushed, kind="free")) == {}
-    assert outlying(SimpleNamespace(nuisance={}), flown(pushed)) == {}
+    assert outlying({}, flown(pushed)) == {}
 
 
 @pytest.mark.parametrize("count", [LEAST - 1, LEAST])
 def test_few_responses_do_not_determine_what_is_usual(count):
     steps = [replace(step, repeat=k % 2) for step in campaign(1, throttles=False, yaws=False) for k in (0, 1)]
     segments = tuple(fly(steps[:count], gust=((3,), -2.0)))
-    kept, aside = set_aside(Estimator(segments, "translation", able), default_model(segments), {})
+    kept, aside = set_aside(segments, fit(segments, select="all", robust=False).start.nuisance)
     assert len(kept) == (count if count < LEAST else count - 1)
     assert bool(aside) is (count == LEAST)

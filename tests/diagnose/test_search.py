@@ -61,6 +61,7 @@ class Scripted(Search):
             if set(terms) <= set(position)
         ]
         self.subsets = SimpleNamespace(terms=lambda s: frozenset(self.candidates[j].term.id for j in s.members))
+        self.sizes = SimpleNamespace(candidates=self.candidates, least=lambda subsets: np.full(len(subsets), 9.0))
         self.lack_of_fit = self.lacking
 
     def judge_as_a_whole(self):
@@ -326,14 +327,11 @@ class Half:
     def problem(self, model):
         return SimpleNamespace(names=tuple(model.names))
 
-    def moved(self, model, at, values=None):
-        return replace(at, values={**at.values, **(values or {})})
-
-    def derivatives(self, _model, _at, names):
+    def derivatives(self, _model, _at, names, _values):
         return [np.stack([np.full((1, 4), np.nan if n in self.broken else 1.0) for n in names], axis=2)]
 
-    def difference(self, _model, _at, changed, there):
-        bad = any(t in changed.terms for t in ("rate_limit",)) and there.values["rate_max"] > 6.0
+    def difference(self, _model, _at, changed, values):
+        bad = any(t in changed.terms for t in ("rate_limit",)) and values["rate_max"] > 6.0
         return [np.full((1, 4, 1), np.inf if bad else 1.0)]
 
 

@@ -104,6 +104,7 @@ def residual_map(
 ) -> list[MapCell]:
     """RMS over the noise floor by channel, kind, cell and phase, of both models."""
     phase = phase_of(before, segments)
+    phases = {p: phase == p for p in ("before", "transient", "steady", "flight")}
     found: list[MapCell] = []
     by_cell: dict[Any, list[int]] = {}
     for i, s in enumerate(segments):
@@ -112,8 +113,8 @@ def residual_map(
         inside = np.isin(before.segment, members)
         for c, name in enumerate(before.channels):
             here = inside & (before.channel == c)
-            for p in ("before", "transient", "steady", "flight"):
-                at = np.flatnonzero(here & (phase == p))
+            for p, inside_phase in phases.items():
+                at = np.flatnonzero(here & inside_phase)
                 if not at.size:
                     continue
                 found.append(

@@ -8,9 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.records import SetAside
-from flighttest.estimation.estimator import Estimator
-from flighttest.estimation.linearisation import Optimum
-from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
 FloatArray = NDArray[np.float64]
@@ -22,21 +19,15 @@ MOST = 1 / 3  # of all responses: what comes more often is no exception
 LEAST = 12  # responses: of fewer it is not known what is usual
 
 
-def set_aside(estimator: Estimator, model: Model, start: Mapping[str, float]) -> tuple[tuple[Segment, ...], SetAside]:
-    """The responses without those that something pushed once, and those by name with a sentence on them.
+Nuisance = Mapping[str, FloatArray]  # name of a disturbance to (n_segments,)
 
-    estimator: of translation. start: values of the base model to begin its fit from.
-    """
-    segments = estimator.segments
+
+def set_aside(segments: tuple[Segment, ...], nuisance: Nuisance) -> tuple[tuple[Segment, ...], SetAside]:
+    """The responses without those that something pushed once, and those by name with a sentence on them. nuisance: of the base model's
+    fit."""
     if len(segments) < LEAST or len({s.cell_key for s in segments}) == len(segments):
         return segments, {}  # or nothing was flown twice
-    problem = estimator.problem(model)
-    if not problem.parts:
-        return segments, {}
-    first = estimator.start(model, start)
-    insensitive = estimator.insensitive(model, first)
-    fitted = estimator.fit(model, first, tuple(n for n in problem.names if n not in insensitive))
-    odd = outlying(fitted, segments)
+    odd = outlying(nuisance, segments)
     if not odd:
         return segments, {}
     aside: SetAside = {
@@ -46,12 +37,12 @@ def set_aside(estimator: Estimator, model: Model, start: Mapping[str, float]) ->
     return tuple(s for i, s in enumerate(segments) if i not in odd), aside
 
 
-def outlying(state: Optimum, segments: Sequence[Segment]) -> dict[int, float]:
+def outlying(nuisance: Nuisance, segments: Sequence[Segment]) -> dict[int, float]:
     """Index of a response to how hard it was pushed, m/s^2, where a repeat of the same step was not.
 
-    state: of a fitted base model; the push is what it found constant over the response, along the ground or upwards, less what is usual.
+    nuisance: of a fitted base model; the push is what it found constant over the response, along the ground or upwards, less what is usual.
     """
-    pushes = _pushes(state, len(segments))
+    pushes = _pushes(nuisance, len(segments))
     if not pushes.size:
         return {}
     cells: dict[object, list[int]] = {}
@@ -82,9 +73,9 @@ def outlying_in_words(found: Mapping[int, float], segments: Sequence[Segment]) -
     )
 
 
-def _pushes(state: Optimum, n: int) -> FloatArray:
+def _pushes(nuisance: Nuisance, n: int) -> FloatArray:
     """(2, n): along the ground and upwards, m/s^2, less the usual (median over responses); NaN where a response has none."""
-    axes = [state.nuisance.get(f"a_d_{axis}_m_s2", np.full(n, np.nan)) for axis in "xyz"]
+    axes = [nuisance.get(f"a_d_{axis}_m_s2", np.full(n, np.nan)) for axis in "xyz"]
     if not all(np.any(np.isfinite(a)) for a in axes):
         return np.empty((0, n))
     x, y, z = (a - np.nanmedian(a) for a in axes)

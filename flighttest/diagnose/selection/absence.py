@@ -43,7 +43,7 @@ def undriven(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, 
         return ""
     rest = replace(term, states=tuple(replace(s, free=s.free and not s.settles) for s in term.states))
     model = fitted.model.without_terms(term.id).with_terms(rest)
-    at = estimator.fit(model, estimator.moved(model, fitted.at), fitted.names)
+    at = estimator.fit(model, estimator.moved(model, fitted.at).without_correlation, fitted.names)
     from_rest = Fitted(model, fitted.names, at, estimator.linearise(model, at, fitted.names), fitted.inactive)
     if not from_rest.finite:
         return ""

@@ -110,7 +110,7 @@ def candidates_at(
     for t in (t for t in terms if not t.amplitudes):
         changed = model.with_terms(t)
         for setting in grid(t):
-            raw = estimator.difference(model, at, changed, estimator.moved(changed, at, setting))
+            raw = estimator.difference(model, at, changed, setting)
             if finite(raw):
                 found.append(Candidate(t, setting, (), rows.profiled(raw), partial(rows.unprofiled, raw)))
     return found
@@ -131,7 +131,7 @@ def _by_derivatives(
         asked = [t for t in terms if k < len(grids[t.id])]
         shape = {n: v for g in grids.values() for n, v in g[k % len(g)].items()}
         wanted = [n for t in asked for n in own[t.id]]
-        raw = estimator.derivatives(everything, estimator.moved(everything, at, null | shape), wanted)
+        raw = estimator.derivatives(everything, at, wanted, null | shape)
         for t in asked:
             part = [one[..., [wanted.index(n) for n in own[t.id]]] for one in raw]
             if own[t.id] and finite(part):

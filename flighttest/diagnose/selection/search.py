@@ -31,6 +31,7 @@ from flighttest.diagnose.selection.comparison import (
     log_evidence,
     predicts_no_more,
 )
+from flighttest.diagnose.selection.proposals import PredictedSizes, proposals
 from flighttest.diagnose.selection.subsets import LARGEST, Scored, Subsets
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import IntArray, Optimum
@@ -64,6 +65,7 @@ class Search:
     candidates: list[Candidate] = field(default_factory=list)
     scored: list[Scored] = field(default_factory=list)
     subsets: Subsets | None = None
+    sizes: PredictedSizes | None = None
     lack_of_fit: bool = False
     evidence: dict[str, Evidence] = field(default_factory=dict)
     rejected: dict[str, Evidence] = field(default_factory=dict)
@@ -182,7 +184,9 @@ class Search:
         term, alone = self.terms[refused.term], self._fits[self._members(refused.without) | {refused.term}]
         model = kept.model if term.id in kept.model.terms else kept.model.with_terms(term)
         values = {p.name: alone.at.values[p.name] for p in term.params}
-        return self.fit_of(model, self.estimator.moved(model, kept.at, values), kept.inactive - {term.id})
+        return self.fit_of(
+            model, self.estimator.moved(model, kept.at, values).without_correlation, kept.inactive - {term.id}
+        )
 
     def _better(self, kept: Fitted, before: Fitted) -> bool:
         """Whether a model holds more than one before, or predicts better with other terms."""
@@ -196,16 +200,11 @@ class Search:
         return sum(log_evidence(kept, before, self.estimator, self.groups, floor).values()) > 0.0
 
     def _proposals(self) -> list[Scored]:
-        """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient, and
-        as long as nothing is named and repeats measure the lack every nonlinear one: a score is a derivative at the null value, and shows
-        little where the effect is large and the base moved far for it (a slung load of 0.29 of the mass had none, and 151,000 nats)."""
-        found = [s for s in self.scored if s.log_odds > 0.0]
-        if self.subsets is not None and self.lack_of_fit:
-            singles = [s for s in self.scored if len(s.members) == 1 and s.log_odds <= 0.0]
-            alone = [(s, self.candidates[s.members[0]]) for s in singles]
-            measured = not self.named and bool(self.floor and self.floor.from_repeats)
-            found += [s for s, c in alone if not c.names or (c.term.shapes and measured)]
-        return found
+        """Subsets to refit, best first; nonlinear terms whatever their score as long as nothing is named and repeats measure the lack."""
+        if self.sizes is None:
+            return []
+        measured = not self.named and bool(self.floor and self.floor.from_repeats)
+        return proposals(self.scored, self.sizes, self.lack_of_fit, measured)
 
     def linearise(self) -> None:
         """Columns of every candidate outside the present model, and the subsets of them, best first."""
@@ -215,13 +214,14 @@ class Search:
         outside = [t for t in self.pool if t.id not in inside]
         self.candidates = candidates_at(self.estimator, now.model, now.at, now.rows, outside)
         if not self.candidates:
-            self.scored, self.subsets = [], None
+            self.scored, self.subsets, self.sizes = [], None, None
             return
         floor = floor_of(now.rows, self.estimator.segments, RESOLUTION)
         known = discrepancy_of(now.rows, now.residual(), self.estimator.segments, floor)
         self.lack_of_fit = bool(known.share.any())
         self.subsets = Subsets.at(now.rows, now.names, self.candidates, known, floor)
         self.scored = self.subsets.ranked(LARGEST)
+        self.sizes = PredictedSizes(now.rows, now.names, self.candidates, self.estimator.segments, self.floor or floor)
 
     def _pruned(
         self, fitted: Fitted, proposed: frozenset[str]
@@ -356,7 +356,7 @@ class Search:
             # A nonlinear parameter means nothing until its coefficient has grown: the size comes first.
             sizes = [n for n in self._free(model, inactive) if n not in shape]
             first = self.estimator.fit(model, first, sizes, compared_with=among.at.log_likelihood)
-        fitted = self.fit_of(model, first, inactive)
+        fitted = self.fit_of(model, first.without_correlation, inactive)
         if not astray(among.names, among.at.values, self.origin):
             return fitted
         # The base bent itself towards what is missing, and small steps from there do not lead back.
