@@ -35,11 +35,12 @@ CONDITIONS: dict[str, tuple[str, ...]] = {
 }
 SELECTION = tuple(
     f"tests/diagnose/test_{part}.py"
-    for part in ("search", "subsets", "comparison", "absence", "parts", "discrepancy", "findings")
+    for part in ("search", "proposals", "subsets", "comparison", "absence", "parts", "discrepancy", "findings")
 )
 CONSTANTS: dict[str, tuple[str, ...]] = {
     "diagnose/selection/search.py": SELECTION,
     "diagnose/selection/aliases.py": SELECTION,
+    "diagnose/selection/proposals.py": SELECTION,
     "diagnose/selection/subsets.py": SELECTION,
     "diagnose/selection/comparison.py": SELECTION,
     "diagnose/selection/candidates.py": SELECTION,
