@@ -41,7 +41,7 @@ def test_an_exported_frame_flies_within_what_is_stated(arducopter, tmp_path):
     kept, values = ardupilot.frame_model(file, made.loops)
     prior = ModelPredictor(model, file.values)
     (plan,) = plans(["spot_check"], replace(DEFAULT_VEHICLE, name="exported"), prior)
-    options = SitlOptions(frame=tmp_path, speedup=3.0, folder=tmp_path / "sitl")
+    options = SitlOptions(frame=tmp_path, speedup=2.0, folder=tmp_path / "sitl")
     with launch(options, binary=Path(arducopter)) as vehicle:
         ended = fly(
             plan, vehicle.url, tmp_path / "run", FlightSettings(set_params=True, replanner=ScriptReplanner(plan, prior))
