@@ -76,11 +76,6 @@ class Profile:
     check: Callable[[Settings], str | None] = lambda settings: None
 
 
-def seconds_field(value: Duration) -> float:
-    """Seconds wanted."""
-    return value.seconds
-
-
 def shortest(**durations: tuple[Duration, float | None]) -> dict[str, float | None]:
     """Of piece name to (duration, least useful), those that may be shortened."""
     return {name: least for name, (value, least) in durations.items() if value.up_to}
