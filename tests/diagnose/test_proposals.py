@@ -52,7 +52,7 @@ def test_the_predicted_size_of_a_linear_model_is_what_its_refits_differ_by(rng):
     assert several[1] == pytest.approx(np.sqrt(np.mean(change**2)) / FLOOR, rel=1e-6)
 
 
-def test_a_prior_that_knows_the_others_lets_them_take_nothing_back(rng):
+def test_others_with_a_narrow_prior_take_nothing_back(rng):
     a = rng.normal(size=(N, 1))
     alike = Scored((0, 1), 1.0, np.array([1.0, 10.0]))
     for usual, left in ((1e3, 0.0), (1e-6, np.sqrt(np.mean(a**2)) / FLOOR)):
