@@ -112,8 +112,6 @@ def translation(
     for term in _at(terms, Port.REFERENCE):
         for key, value in _build(term, s, p, states, rates).items():
             setattr(s, key, value)
-    for term in _at(terms, Port.VOLTAGE):
-        s.voltage = s.voltage + _build(term, s, p, states, rates)
     s.command = body.thrust_command(s)
     for term in _at(terms, Port.MOTOR_GAIN):
         s.command = s.command * _build(term, s, p, states, rates)

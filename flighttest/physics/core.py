@@ -30,7 +30,6 @@ class Port(Enum):
     WIND = ("m/s", "sum of (3,) world vectors; air-relative velocity is v minus it", "translation")
     DELAY = ("s", "sum per channel: attitude, yaw_rate, thrust", "both")
     REFERENCE = ("1", "composition: maps the attitude, yaw rate or throttle reference", "both")
-    VOLTAGE = ("V", "sum on the voltage that acts", "translation")
     MOTOR_GAIN = ("1", "product on the commanded thrust, before the lag", "translation")
     THRUST_LAG = ("m/s^3", "composition: maps the rate of a_t", "translation")
     AERO_GAIN = ("1", "product on a_t, after the lag", "translation")

@@ -94,8 +94,6 @@ def neutral(term, s):
         return np.ones(1)
     if term.port in (Port.WIND, Port.FORCE, Port.ANGULAR):
         return np.zeros(3)
-    if term.port is Port.VOLTAGE:
-        return np.zeros(1)
     if term.port is Port.THRUST_LAG:
         return np.array([float(s.a_t_dot)])
     if term.port is Port.DELAY:
@@ -241,7 +239,7 @@ WITNESSES = {
     # the lean angle of 0.1 s ago, that of the throttle which takes effect now
     "angle_boost": ({"boost": 1.0}, {"roll": 0.5, "pitch": 0.0, "roll_rate": 1.0, "pitch_rate": 0.0}, [0.25 / np.cos(0.4)]),
     "thrust_extra_lag": ({"thrust_extra_tau": 0.02}, {}, [0.0, 0.0, -0.1]),
-    "voltage_sag": ({"sag_v": 3.0}, {}, [-0.3]),
+    "voltage_sag": ({"sag_v": 3.0}, {}, [(22.7 / 23.0) ** 1.71]),
     "accelerometer_bias": ({"bias_x": 0.1, "bias_y": 0.2, "bias_z": -0.3}, {}, [0.5, -0.1, 7.7]),
     # w x r and centripetal for an arm ahead, turning about z alone: -w^2 r ahead, w_dot r to the left.
     "imu_lever_arm": ({"arm_x": 0.1}, {"rates": [0, 0, 2.0], "angular_acceleration": [0, 0, 5.0]}, [0.0, 0.2, 8.0]),

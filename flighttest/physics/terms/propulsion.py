@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import casadi as ca
 
-from flighttest.physics import body
 from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term, Values
 
 # Below this throttle the gain is taken as at it: a factor on the command cannot be defined at zero.
@@ -23,6 +22,7 @@ def _root(a: Expr) -> Expr:
 
 
 LOAD_POWER = 1.5  # current over thrust: it follows the power of the rotors (momentum theory)
+LEAST_VOLTAGE = 0.05  # of the logged one, that acts where a trial value of the sag is more than there is
 
 
 def _curve(s: Signals, p: Values, _x: Values) -> Contribution:
@@ -227,15 +227,17 @@ def _sag(s: Signals, p: Values, x: Values) -> Contribution:
     gain = s.base["K"]
     # The derivative of the load, (a_t / K)^LOAD_POWER.
     slope = LOAD_POWER * ca.fmax(s.a_t / gain, 1e-4) ** (LOAD_POWER - 1)
-    load_rate = slope * s.base["sigma_t"] * (body.thrust_command(s) - s.a_t) / gain
-    return Contribution(-p["sag_v"] * fresh, {"load_fresh": load_rate - fresh / p["sag_tau"]})
+    # Until the logged voltage has come through the motors' lag, where the body's equation has it.
+    lasts = p["sag_tau"] + 1 / s.base["sigma_t"]
+    share = ca.fmax(1 - p["sag_v"] * fresh / s.voltage, LEAST_VOLTAGE)
+    return Contribution(share ** s.base["alpha"], {"load_fresh": slope * s.a_t_dot / gain - fresh / lasts})
 
 
 voltage_sag = Term(
     id="voltage_sag",
     title="Voltage that acts differs from the voltage logged",
     family="propulsion",
-    port=Port.VOLTAGE,
+    port=Port.AERO_GAIN,
     params=(
         Param(
             "sag_v", "ΔU", "V", 2.0, -12.0, 25.0, 1.0, "voltage lost at full throttle before the log shows it",
@@ -246,9 +248,10 @@ voltage_sag = Term(
         ),
     ),
     build=_sag,
-    equation="U <- U_logged - dU x, x_dot = d/dt (a_t / K)^(3/2) - x / tau_U",
+    equation="a_t <- a_t (1 - dU x / U_logged)^alpha, x_dot = d/dt (a_t / K)^(3/2) - x / (tau_U + 1/sigma_t)",
     plain="the voltage at the motors drops with the load before the logged voltage shows it",
-    source="equivalent circuit of a battery behind a filtered monitor",
+    source="equivalent circuit of a battery behind a filtered monitor; motors draw the current while they still accelerate, so that the "
+    "drop is there as soon as the thrust is, and not a motor lag behind it",
     doubt="its static part is the same as a curved throttle (cosine 0.999); only its dynamics is in this term",
     hides_in=("alpha", "sigma_t"),
     told_apart_by="long steps",
