@@ -244,7 +244,7 @@ def test_an_effect_of_the_smallest_size_reported_is_named_four_times_in_five(rng
     )
     search = SimpleNamespace(
         now=SimpleNamespace(rows=rows, names=("p0",)), candidates=[candidate], pool=tuple(range(30)),
-        estimator=SimpleNamespace(segments=responses(20, 100)), floor=NoiseFloor({"f_z_m_s2": 1e-6}, frozenset(), {}),
+        estimator=SimpleNamespace(segments=responses(20, 100)), sizes=SimpleNamespace(of_units=lambda _: np.full(1, 1e9)),
     )  # fmt: skip
     level, name = detectability.detectable(search)["a"]
     assert name == "a0"

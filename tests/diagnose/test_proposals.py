@@ -52,6 +52,14 @@ def test_the_predicted_size_of_a_linear_model_is_what_its_refits_differ_by(rng):
     assert several[1] == pytest.approx(np.sqrt(np.mean(change**2)) / FLOOR, rel=1e-6)
 
 
+def test_the_size_of_a_unit_is_what_the_base_does_not_take_back(rng):
+    base, a = rng.normal(size=(N, 2)), rng.normal(size=(N, 2))
+    one, other = candidate("a", a), candidate("b", 3.0 * a)
+    rest = a - base @ np.linalg.lstsq(base, a, rcond=None)[0]
+    expected = np.sqrt(np.mean(rest**2, axis=0)) / FLOOR
+    assert sizes(base, [one, other]).of_units(other) == pytest.approx(3.0 * expected)
+
+
 def test_others_with_a_narrow_prior_take_nothing_back(rng):
     a = rng.normal(size=(N, 1))
     alike = Scored((0, 1), 1.0, np.array([1.0, 10.0]))

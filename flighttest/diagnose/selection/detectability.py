@@ -16,7 +16,6 @@ import numpy as np
 from flighttest.diagnose.model import Untestable
 from flighttest.diagnose.selection.candidates import Candidate, usual_size
 from flighttest.diagnose.selection.comparison import LEAST_FLOORS, log_odds_asked, weights_of
-from flighttest.diagnose.selection.held_out import places
 from flighttest.diagnose.selection.search import Search
 from flighttest.diagnose.selection.subsets import ABSORBED
 from flighttest.estimation.linearisation import orthonormal
@@ -54,16 +53,12 @@ def _has(segment: Segment, name: str) -> bool:
 
 def detectable(search: Search) -> dict[str, tuple[float, str]]:
     """Candidate to (smallest coefficient that would have been named, its parameter), infinite where none would."""
-    now, floor = search.now, search.floor
+    now, sizes = search.now, search.sizes
     assert now is not None
-    assert floor is not None
-    segments = search.estimator.segments
-    root = np.sqrt(weights_of(now, segments)(now.rows))[:, None]
-    base = now.rows.columns(now.names) * root
-    basis = orthonormal(base)
-    inverse = np.linalg.pinv(base, rcond=1e-10)
-    at_places = places(now.rows, segments)
-    unprofiled = now.rows.unprofiled_columns(now.names)
+    if sizes is None:
+        return {}
+    root = np.sqrt(weights_of(now, search.estimator.segments)(now.rows))[:, None]
+    basis = orthonormal(now.rows.columns(now.names) * root)
     asked = math.sqrt(2.0 * log_odds_asked(len(search.pool))) + POWER
     found: dict[str, tuple[float, str]] = {}
     for c in usual_settings(search.candidates):
@@ -75,12 +70,7 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
             length = float(np.linalg.norm(alone))
             level = np.inf
             if length > ABSORBED * float(np.linalg.norm(whitened[:, k])):
-                effect = c.unprofiled()[:, k] - unprofiled @ (inverse @ whitened[:, k])
-                largest = max(
-                    (float(np.sqrt(np.mean(effect[at] ** 2))) / floor.of(name) for (name, _), at in at_places.items()),
-                    default=0.0,
-                )
-                level = max(asked / length, LEAST_FLOORS / max(largest, 1e-12))
+                level = max(asked / length, LEAST_FLOORS / max(float(sizes.of_units(c)[k]), 1e-12))
             if level < found.get(c.term.id, (np.inf, ""))[0] or c.term.id not in found:
                 found[c.term.id] = (level, c.names[k] if c.names else "")
     return found

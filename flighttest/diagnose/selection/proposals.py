@@ -52,6 +52,12 @@ class PredictedSizes:
                 found[chunk] = self._least([subsets[k] for k in chunk], np.repeat(np.arange(len(widths)), widths))
         return found
 
+    def of_units(self, candidate: Candidate) -> FloatArray:
+        """(q,) of a coefficient of one of each of its columns, alone, in noise floors."""
+        j = next(j for j, one in enumerate(self.candidates) if one is candidate)
+        squares = np.diagonal(self._products, axis1=1, axis2=2).max(axis=0, initial=0.0)
+        return np.asarray(np.sqrt(squares[self._first[j] : self._first[j + 1]]))
+
     def _least(self, subsets: Sequence[Scored], member: IntArray) -> FloatArray:
         """Of subsets whose members have the same numbers of columns. member (q,): of each column."""
         at = np.array([[k for j in s.members for k in range(self._first[j], self._first[j + 1])] for s in subsets])
