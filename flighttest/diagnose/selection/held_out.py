@@ -246,13 +246,13 @@ def gains_held_out(
 
 
 def error_ratio_95(
-    before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor
+    before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, channels: Sequence[str]
 ) -> tuple[float, float]:
-    """95 % interval (bootstrap over groups) of the errors of one model over those of another, geometric mean over the channels that one of
-    them misses by more than the noise floor; (1, 1) where there is none."""
+    """95 % interval (bootstrap over groups) of the errors of one model over those of another, geometric mean over those of the channels
+    that one of them misses by more than the noise floor; (1, 1) where there is none."""
     draws = _resampled(groups, 0)
     logs = []
-    for name in (c for c in before.rows.channels if c in after.rows.channels):
+    for name in (c for c in channels if c in after.rows.channels):
         (ss_b, n_b), (ss_a, _) = before.squares(name, groups), after.squares(name, groups)
         if max(ss_b.sum(), ss_a.sum()) > floor.of(name) ** 2 * n_b.sum():
             logs.append(0.5 * np.log(np.maximum(draws @ ss_a, 1e-300) / np.maximum(draws @ ss_b, 1e-300)))

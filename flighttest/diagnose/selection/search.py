@@ -150,12 +150,10 @@ class Search:
     def judge_as_a_whole(self) -> None:
         """Withdraw what was named where the model with all of it does not predict more than the base: terms that are each needed beside the
         others may explain disturbances and not the flight."""
-        if not self.evidence:
+        if not self.evidence or self.base is None or self.now is None or self.floor is None:
             return
-        assert self.base is not None
-        assert self.now is not None
-        assert self.floor is not None
-        if not (why := predicts_no_more(self.base, self.now, self.groups, self.floor)):
+        terms = [self.terms[t] for t in self.evidence]
+        if not (why := predicts_no_more(self.base, self.now, terms, self.groups, self.floor)):
             return
         self.rejected |= {t: replace(e, withdrawn=why) for t, e in self.evidence.items()}
         self.now, self.evidence = self.base, {}
