@@ -55,15 +55,15 @@ class PredictedSizes:
     def of_units(self, candidate: Candidate) -> FloatArray:
         """(q,) of a coefficient of one of each of its columns, alone, in noise floors."""
         j = next(j for j, one in enumerate(self.candidates) if one is candidate)
-        squares = np.diagonal(self._products, axis1=1, axis2=2).max(axis=0, initial=0.0)
+        squares = np.diagonal(self._matrices[1], axis1=1, axis2=2).max(axis=0, initial=0.0)
         return np.asarray(np.sqrt(squares[self._first[j] : self._first[j + 1]]))
 
     def _least(self, subsets: Sequence[Scored], member: IntArray) -> FloatArray:
         """Of subsets whose members have the same numbers of columns. member (q,): of each column."""
         at = np.array([[k for j in s.members for k in range(self._first[j], self._first[j + 1])] for s in subsets])
         pairs = at[:, :, None], at[:, None, :]
-        information = self._common[pairs] + self._precision[at][:, :, None] * np.eye(member.size)
-        products, common = self._products[:, *pairs], self._common[pairs]
+        common, products = self._matrices[0][pairs], self._matrices[1][:, *pairs]
+        information = common + self._precision[at][:, :, None] * np.eye(member.size)
         x, least = np.array([s.coefficients for s in subsets]), np.full(len(subsets), np.inf)
         for one in range(int(member[-1]) + 1):
             own, others = np.flatnonzero(member == one), np.flatnonzero(member != one)
@@ -85,31 +85,19 @@ class PredictedSizes:
         return np.concatenate([c.prior_std for c in self.candidates]) ** -2.0
 
     @cached_property
-    def _taken_back(self) -> FloatArray:
-        """(p, q) what the model's own parameters do against each column."""
-        base = self.rows.columns(self.names)
-        return np.asarray(np.linalg.pinv(base.T @ base, rcond=RANK, hermitian=True) @ (base.T @ self._columns))
-
-    @cached_property
-    def _columns(self) -> FloatArray:
-        return np.concatenate([c.columns for c in self.candidates], axis=1)
-
-    @cached_property
-    def _common(self) -> FloatArray:
-        """(q, q) C."""
-        shared = self._columns.T @ self.rows.columns(self.names)
-        return np.asarray(self._columns.T @ self._columns - shared @ self._taken_back)
-
-    @cached_property
-    def _products(self) -> FloatArray:
-        """(places, q, q) mean products of the changes E, in noise floors squared."""
+    def _matrices(self) -> tuple[FloatArray, FloatArray]:
+        """C (q, q), and per place the mean products of the changes E (places, q, q), in noise floors squared."""
+        base, columns = self.rows.columns(self.names), np.concatenate([c.columns for c in self.candidates], axis=1)
+        shared, whole = base.T @ columns, columns.T @ columns
+        taken_back = np.linalg.pinv(base.T @ base, rcond=RANK, hermitian=True) @ shared
+        common = whole - shared.T @ taken_back + RANK * np.diag(np.diag(whole))  # no less than what was rounded away
         change = np.concatenate([c.unprofiled() for c in self.candidates], axis=1)
-        change -= self.rows.unprofiled_columns(self.names) @ self._taken_back
-        found = [
+        change -= self.rows.unprofiled_columns(self.names) @ taken_back
+        products = [
             change[at].T @ change[at] / (at.size * self.floor.of(channel) ** 2)
             for (channel, _), at in places(self.rows, self.segments).items()
         ]
-        return np.array(found).reshape(-1, *self._common.shape)
+        return common, np.array(products).reshape(-1, *common.shape)
 
 
 def proposals(scored: Sequence[Scored], sizes: PredictedSizes, lack_of_fit: bool, nonlinear: bool) -> list[Scored]:
