@@ -30,6 +30,7 @@ from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.baselines import baselines
 from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
 from flighttest.diagnose.selection.held_out import HeldOut, excess, gains_held_out, horizon_rmse
+from flighttest.diagnose.selection.proposals import LEAST_PREDICTED
 from flighttest.diagnose.selection.search import Search, silent
 from flighttest.diagnose.step_error import StepError
 from flighttest.estimation.estimator import Estimator, part_of
@@ -199,12 +200,12 @@ def _candidates(search: Search) -> list[CandidateRow]:
         if term not in done:
             probability = 1.0 / (1.0 + float(np.exp(min(-s.log_odds, 700.0))))
             why = f"screened: log odds {s.log_odds:.1f} beside the final model"
-            if s.log_odds > 0.0:
-                why += f", an effect of {size:.2g} noise floors, too small to be distinguished from a clean vehicle"
+            if small := s.log_odds > 0.0 and size < LEAST_PREDICTED:
+                why += f", but an effect of {size:.2g} noise floors, too small to be distinguished from a clean vehicle"
             found.append(
                 {
                     "term": term, "verdict": TermVerdict.NOT_NEEDED, "delta_bic": -2.0 * s.log_odds, "probability": probability,
-                    "floors": None, "why": why,
+                    "floors": float(size) if small else None, "why": why,
                 }
             )  # fmt: skip
     return found

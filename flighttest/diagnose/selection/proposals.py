@@ -27,6 +27,7 @@ from flighttest.segments.model import Segment
 
 # Of the least size with a name: what is predicted below it turns out below that size (`benchmarks.predicted_sizes`).
 SURELY = 0.75
+LEAST_PREDICTED = SURELY * LEAST_FLOORS
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def proposals(scored: Sequence[Scored], sizes: PredictedSizes, lack_of_fit: bool
     nonlinear one: a score is a derivative at the null value, and shows little where the effect is large and the base moved far for it
     (a slung load of 0.29 of the mass had none, and 151,000 nats)."""
     found = [s for s in scored if s.log_odds > 0.0]
-    found = [s for s, size in zip(found, sizes.least(found), strict=True) if size >= SURELY * LEAST_FLOORS]
+    found = [s for s, size in zip(found, sizes.least(found), strict=True) if size >= LEAST_PREDICTED]
     if not lack_of_fit:
         return found
     proposed = {s.members for s in found}
