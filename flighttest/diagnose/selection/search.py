@@ -315,7 +315,7 @@ class Search:
         if np.isfinite(start.objective) or self.base is None:
             return start
         null = {p.name: null_value(p) for t in self.pool if t.id in model.terms for p in t.amplitudes}
-        return self.estimator.moved(model, self.base.at, null)
+        return self.estimator.moved(model, self.base.at, null).without_correlation
 
     def _not_estimates(self, model: Model, at: Optimum, names: tuple[str, ...]) -> dict[str, float]:
         """Coefficients that are their term's effect only beside its others (an upward wind) and ran to a bound: name to null value."""
