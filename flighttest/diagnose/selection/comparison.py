@@ -23,9 +23,9 @@ from flighttest.diagnose.selection.held_out import (
     PredictionErrors,
     cross_validated,
     error_ratio_95,
-    groups_moved,
     held_out,
     held_out_falls,
+    moved,
     places,
     size_in_floors,
     stratum_gains,
@@ -238,18 +238,16 @@ def evidence_of(
     )
 
 
-def predicts_no_more(base: Fitted, now: Fitted, named: Sequence[Term], groups: IntArray, floor: NoiseFloor) -> str:
+def predicts_no_more(base: Fitted, now: Fitted, groups: IntArray, floor: NoiseFloor) -> str:
     """Why a model with all that was named is no better than the base, empty where its errors in what was not used, each response predicted
     by its initial state alone, are surely smaller: geometric mean over the channels that one of the two misses by more than the noise
-    floor (the likelihood with each channel's variance unknown), but for those that contain no information on any of the names
-    (`redundant`). Empty, too, where the two predict differently in fewer groups than such an interval takes: each term was tested by
-    itself."""
+    floor (the likelihood with each channel's variance unknown) and that the two predict differently in some group, since others say
+    nothing of the names. Empty, too, where that is so in fewer groups than such an interval takes: each term was tested by itself."""
     before, after = base.held_out(groups), now.held_out(groups)
-    if 0 < groups_moved(before, after, groups, floor, LEAST_FLOORS) < FEWEST_GROUPS:
+    differing = moved(before, after, groups, floor, LEAST_FLOORS)
+    if 0 < np.any(list(differing.values()), axis=0).sum() < FEWEST_GROUPS:
         return ""
-    channels = before.rows.channels
-    aside = frozenset(channels).intersection(*(redundant(t, channels) for t in named))
-    low, high = error_ratio_95(before, after, groups, floor, [c for c in channels if c not in aside])
+    low, high = error_ratio_95(before, after, groups, floor, [c for c, one in differing.items() if one.any()])
     if high < 1.0:
         return ""
     return f"what was not used is not surely predicted better with all that was named (errors {low:.2g} to {high:.2g} times as large)"

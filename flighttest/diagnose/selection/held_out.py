@@ -148,17 +148,17 @@ class PredictionErrors:
         return np.asarray(np.bincount(groups[segment], error**2, minlength=n), dtype=float), count
 
 
-def groups_moved(
+def moved(
     before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, least: float
-) -> int:
-    """In how many groups two models predict differently: by `least` noise floors RMS in some channel."""
-    moved = np.zeros(int(groups.max()) + 1, dtype=bool)
-    for name in before.rows.channels:
+) -> dict[str, NDArray[np.bool_]]:
+    """Channel to the groups (n,) in which two models predict it differently: by `least` noise floors RMS."""
+    found = {}
+    for name in (c for c in before.rows.channels if c in after.rows.channels):
         (segment, one), (_, other) = before.of(name), after.of(name)
-        change = np.bincount(groups[segment], (one - other) ** 2, moved.size)
-        count = np.bincount(groups[segment], minlength=moved.size)
-        moved |= (count > 0) & (change >= (least * floor.of(name)) ** 2 * count)
-    return int(moved.sum())
+        count = np.bincount(groups[segment], minlength=int(groups.max()) + 1)
+        change = np.bincount(groups[segment], (one - other) ** 2, count.size)
+        found[name] = (count > 0) & (change >= (least * floor.of(name)) ** 2 * count)
+    return found
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ def error_ratio_95(
     that one of them misses by more than the noise floor; (1, 1) where there is none."""
     draws = _resampled(groups, 0)
     logs = []
-    for name in (c for c in channels if c in after.rows.channels):
+    for name in channels:
         (ss_b, n_b), (ss_a, _) = before.squares(name, groups), after.squares(name, groups)
         if max(ss_b.sum(), ss_a.sum()) > floor.of(name) ** 2 * n_b.sum():
             logs.append(0.5 * np.log(np.maximum(draws @ ss_a, 1e-300) / np.maximum(draws @ ss_b, 1e-300)))

@@ -152,8 +152,7 @@ class Search:
         others may explain disturbances and not the flight."""
         if not self.evidence or self.base is None or self.now is None or self.floor is None:
             return
-        terms = [self.terms[t] for t in self.evidence]
-        if not (why := predicts_no_more(self.base, self.now, terms, self.groups, self.floor)):
+        if not (why := predicts_no_more(self.base, self.now, self.groups, self.floor)):
             return
         self.rejected |= {t: replace(e, withdrawn=why) for t, e in self.evidence.items()}
         self.now, self.evidence = self.base, {}
