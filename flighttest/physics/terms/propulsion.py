@@ -252,8 +252,8 @@ voltage_sag = Term(
     plain="the voltage at the motors drops with the load before the logged voltage shows it",
     source="equivalent circuit of a battery behind a filtered monitor; motors draw the current while they still accelerate, so that the "
     "drop is there as soon as the thrust is, and not a motor lag behind it",
-    doubt="its static part is the same as a curved throttle (cosine 0.999); only its dynamics is in this term. Where motors are slower than "
-    "80 1/s and follow their circuit (torque by current), their time constant and the sag's are not separated by it",
+    doubt="its static part is the same as a curved throttle (cosine 0.999); only its dynamics is in this term. Where motors are slower "
+    "than 80 1/s and follow their circuit (torque by current), their time constant and the sag's are not separated by it",
     hides_in=("alpha", "sigma_t"),
     told_apart_by="long steps",
     reveals="thrust",
