@@ -223,11 +223,15 @@ class _Responses:
                 rows.append(np.full(at.size, unrecorded))
         return np.array(rows)
 
-    def held(self, channel: str, delay_s: float) -> FloatArray:
-        """(m, parts) mean of a delayed input over every part. What is held has an exact integral, smooth in the delay."""
+    def held(self, channel: str, delay_s: float, own: str = "") -> FloatArray:
+        """(m, parts) mean of a delayed input over every part. What is held has an exact integral, smooth in the delay.
+        own: a channel of the autopilot that takes the input's place where it was recorded."""
         rows = []
         for s, at in zip(self._segments, self.t_s, strict=True):
             edges, value = s.u[channel]
+            if _known(s, own):
+                known = np.isfinite(s.y[own])
+                edges, value = s.t_s[known], s.y[own][known]
             ends = at[0] + np.arange(PARTS * (at.size - 1) + 1) * (STEP_S / PARTS) - delay_s
             knots = edges - s.t_step_s
             knots = np.concatenate([[min(knots[0], ends[0]) - 1.0], knots[1:], [max(knots[-1], ends[-1]) + 1.0]])
@@ -262,7 +266,8 @@ class _Block(ABC):
 
 
 class _RollPitch(_Block):
-    """phi'' = omega^2 (phi_ref(t - T) + d - phi) - 2 zeta omega phi', pitch alike; theta: omega, zeta of both, T."""
+    """phi'' = omega^2 (phi_ref(t - T) + d - phi) - 2 zeta omega phi', pitch alike; theta: omega, zeta of both, T.
+    phi_ref: what the loops follow, the autopilot's own target behind its shaping where that was recorded."""
 
     name, channels, kinds = "roll_pitch", ("roll_rad", "pitch_rad"), TILTED
     inputs = ("roll_ref_rad", "pitch_ref_rad")
@@ -277,7 +282,8 @@ class _RollPitch(_Block):
         for k, axis in enumerate(("roll", "pitch")):
             omega, zeta = theta[2 * k], theta[2 * k + 1]
             poles = (1.0, 2.0 * zeta * omega, omega**2)
-            residual[..., k] = r.y(f"{axis}_rad") - _answer((omega**2,), poles, r.held(f"{axis}_ref_rad", theta[4]))
+            asked = r.held(f"{axis}_ref_rad", theta[4], f"{axis}_shaped_rad")
+            residual[..., k] = r.y(f"{axis}_rad") - _answer((omega**2,), poles, asked)
             disturbed[..., k, k] = step = _answer((omega**2,), poles, np.ones(PARTS * (n - 1)))
             # From an angle of one: what a step asks back; from a rate of one: the answer to a push.
             free[..., k, 2 * k] = 1.0 - step

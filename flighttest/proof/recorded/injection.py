@@ -116,6 +116,11 @@ class _Recorded:
             x = np.unwrap(x)
         return np.asarray(np.interp(self.t_s, t, x))
 
+    def target(self, axis: str) -> FloatArray:
+        """What the attitude loop of an axis follows: the autopilot's own target behind its shaping, where that was recorded."""
+        own = f"{axis}_shaped_rad"
+        return self.get(own if self.has(own) else f"{axis}_ref_rad")
+
     def smooth(self, x: FloatArray, derivative: int = 0, over_s: float = SMOOTH_S) -> FloatArray:
         window = min(int(over_s / STEP_S) | 1, x.size - 1 + x.size % 2)
         if window < 5:
@@ -142,9 +147,7 @@ def _difference(
     voltage = (seen.get("voltage_v", vehicle.nominal_voltage_v) / vehicle.nominal_voltage_v) ** vehicle.alpha
     recorded = seen.get("throttle")
     thrust = Thrust(vehicle, effects, recorded, voltage)
-    loops = AttitudeLoops(
-        vehicle, effects, *(seen.get(f"{a}") for a in ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s"))
-    )
+    loops = AttitudeLoops(vehicle, effects, seen.target("roll"), seen.target("pitch"), seen.get("yaw_rate_ref_rad_s"))
     air = AirEffects(effects, seen.get("height_m"), seen.t_s - seen.t_s[0])
     load = SlungLoad(1.0, dict(effects["slung_payload"])) if "slung_payload" in effects else None
     load_trim = np.array([0.0, 0.0, G_M_S2 * load.mass_kg if load else 0.0])  # the pilot hovers with the load
