@@ -241,7 +241,7 @@ def log_odds(
         )
     else:
         without = model.without_terms(question.term.id)
-        effect = -rows.profiled(estimator.difference(model, there, without))[:, 0]
+        effect = -rows.profiled(next(estimator.differences(model, there, [(without, None)])))[:, 0]
     basis = orthonormal(rows.columns(others))
     left = effect - basis @ (basis.T @ effect)
     return 0.5 * float(left @ left) / CORRELATED

@@ -5,7 +5,7 @@ Of one block of the model at a time (roll and pitch, yaw rate, translation), sin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -230,24 +230,23 @@ class Estimator:
             found.append(placed)
         return found
 
-    def difference(
-        self, model: Model, at: Optimum, changed: Model, values: Mapping[str, float] | None = None
-    ) -> list[FloatArray]:
-        """Per part (m, samples times outputs, 1): change of the outputs from a point of one model to the same with another model, or with
-        other values, in the channels' units.
+    def differences(
+        self, model: Model, at: Optimum, others: Iterable[tuple[Model, Mapping[str, float] | None]]
+    ) -> Iterator[list[FloatArray]]:
+        """Of each other (model, values): per part (m, samples times outputs, 1), change of the outputs from a point of one model to the
+        same point of the other, or with its values, in the channels' units.
 
-        Both models must have the same parts; the nuisance parameters are `at`'s.
+        All models must have the same parts; the nuisance parameters are `at`'s.
         """
-        first, second = self.problem(model), self.problem(changed)
-        return [
-            (a.residual - b.residual).reshape(part.y.shape[0], -1, 1)
-            for part, a, b in zip(
-                first.parts,
-                first.evaluate(at.values, first.placed(at.nuisance)),
-                second.evaluate(self.values_of(changed, at, values), second.placed(at.nuisance)),
-                strict=True,
-            )
-        ]
+        here = self.problem(model)
+        base = here.evaluate(at.values, here.placed(at.nuisance))
+        for changed, values in others:
+            there = self.problem(changed)
+            made = there.evaluate(self.values_of(changed, at, values), there.placed(at.nuisance))
+            yield [
+                (a.residual - b.residual).reshape(part.y.shape[0], -1, 1)
+                for part, a, b in zip(here.parts, base, made, strict=True)
+            ]
 
     def insensitive(self, model: Model, at: Optimum) -> frozenset[str]:
         """Base parameters that change nothing in this data (the voltage exponent where no voltage varies): held where they are."""

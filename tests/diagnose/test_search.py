@@ -330,9 +330,10 @@ class Half:
     def derivatives(self, _model, _at, names, _values):
         return [np.stack([np.full((1, 4), np.nan if n in self.broken else 1.0) for n in names], axis=2)]
 
-    def difference(self, _model, _at, changed, values):
-        bad = any(t in changed.terms for t in ("rate_limit",)) and values["rate_max"] > 6.0
-        return [np.full((1, 4, 1), np.inf if bad else 1.0)]
+    def differences(self, _model, _at, others):
+        for changed, values in others:
+            bad = any(t in changed.terms for t in ("rate_limit",)) and values["rate_max"] > 6.0
+            yield [np.full((1, 4, 1), np.inf if bad else 1.0)]
 
 
 def test_a_candidate_whose_simulation_is_not_finite_is_dropped():

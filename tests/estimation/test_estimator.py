@@ -89,7 +89,7 @@ def test_the_jacobian_is_that_of_finite_differences(throttled, point):
     for k, name in enumerate(FREE):
         h = 1e-4 * model.param[name].scale
         ends = [estimator.moved(model, point, {name: point.values[name] + s * h}) for s in (-0.5, 0.5)]
-        change = estimator.difference(model, ends[0], model, ends[1].values)
+        change = next(estimator.differences(model, ends[0], [(model, ends[1].values)]))
         profiled, unprofiled = rows.profiled(change), rows.unprofiled(change)
         size = float(np.max(np.abs(rows.jacobian[:, k])))
         np.testing.assert_allclose(profiled[:, 0] / h, rows.jacobian[:, k], atol=SHARP[name] * size)

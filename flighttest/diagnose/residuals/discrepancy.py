@@ -64,7 +64,8 @@ def discrepancy_of(
     strata = len(rows.strata)
     variance, share, inflation, count = np.ones(strata), np.zeros(strata), np.ones(strata), np.zeros(strata)
     tau = correlation_times(rows, residual, segments)
-    kinds = np.array([s.kind for s in segments])[rows.segment]
+    names, kind_of = np.unique([s.kind for s in segments], return_inverse=True)
+    kinds = kind_of[rows.segment]
     for k, name in enumerate(rows.strata):
         at = np.flatnonzero(rows.stratum == k)
         if not at.size:
@@ -77,8 +78,8 @@ def discrepancy_of(
             mean_square = float(np.mean(raw[at] ** 2))
             lacking = any(
                 floor.exceeded(name, str(kind), float(np.mean(raw[some] ** 2)), some.size / tau[k])
-                for kind in np.unique(kinds[at])
-                if (some := at[kinds[at] == kind]).size >= 2 * FEWEST_PAIRS
+                for number, kind in enumerate(names)
+                if (some := at[kinds[at] == number]).size >= 2 * FEWEST_PAIRS
             )
             share[k] = max(0.0, 1.0 - floor.whole(name) ** 2 / mean_square) if lacking else 0.0
         else:

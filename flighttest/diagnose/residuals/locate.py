@@ -187,15 +187,16 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
     """
     tau = correlation_times(rows, rows.unprofiled_residual, segments)
     variables = sampled(rows, segments)
-    kinds = np.array([s.kind for s in segments])[rows.segment]
+    names, kind_of = np.unique([s.kind for s in segments], return_inverse=True)
+    kinds = kind_of[rows.segment]
     flight = np.unique([s.run for s in segments], return_inverse=True)[1][rows.segment]
     maneuvers = {
         kind: Counter(s.maneuver or s.kind for s in segments if s.kind == kind) for kind in {s.kind for s in segments}
     }
     places = []
     for c, name in enumerate(rows.channels):
-        for kind in np.unique(kinds):
-            at = np.flatnonzero((rows.channel == c) & (kinds == kind))
+        for number, kind in enumerate(names):
+            at = np.flatnonzero((rows.channel == c) & (kinds == number))
             if at.size < 40:
                 continue
             r = rows.unprofiled_residual[at]

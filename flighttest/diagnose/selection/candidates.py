@@ -107,12 +107,11 @@ def candidates_at(
 ) -> list[Candidate]:
     """Every setting of every term outside the model. rows: of the model itself. What is not finite is left out."""
     found = list(_by_derivatives(estimator, model, at, rows, [t for t in terms if t.amplitudes]))
-    for t in (t for t in terms if not t.amplitudes):
-        changed = model.with_terms(t)
-        for setting in grid(t):
-            raw = estimator.difference(model, at, changed, setting)
-            if finite(raw):
-                found.append(Candidate(t, setting, (), rows.profiled(raw), partial(rows.unprofiled, raw)))
+    others = [(t, setting) for t in terms if not t.amplitudes for setting in grid(t)]
+    changes = estimator.differences(model, at, ((model.with_terms(t), setting) for t, setting in others))
+    for (t, setting), raw in zip(others, changes, strict=False):  # nothing is evaluated where there are none
+        if finite(raw):
+            found.append(Candidate(t, setting, (), rows.profiled(raw), partial(rows.unprofiled, raw)))
     return found
 
 
