@@ -27,8 +27,9 @@ LEAST_GAIN = 0.05
 KNOTS = (0.2, 0.4, 0.6, 0.8)  # quantiles of a variable at which a slope may change
 
 SYMBOLS = {
-    "speed_forward_m_s": "u", "speed_left_m_s": "v", "speed_up_m_s": "w", "tilt_rad": "tilt", "heading_rad": "psi", "height_m": "h",
-    "throttle": "T", "throttle_rate_1_s": "dT/dt", "voltage_v": "U", "time_since_takeoff_s": "t", "time_since_command_s": "t_c",
+    "speed_forward_m_s": "u", "speed_left_m_s": "v", "speed_up_m_s": "w", "tilt_rad": "tilt", "heading_rad": "psi",
+    "p_rad_s": "p", "q_rad_s": "q", "r_rad_s": "r", "height_m": "h", "throttle": "T", "throttle_rate_1_s": "dT/dt", "voltage_v": "U",
+    "time_since_takeoff_s": "t", "time_since_command_s": "t_c",
 }  # fmt: skip
 
 

@@ -137,5 +137,7 @@ class Segment:
 
     @property
     def cell_key(self) -> tuple[str, tuple[tuple[str, float], ...]]:
-        """Hashable identity of the cell: repeats of one step share it."""
-        return self.kind, tuple(sorted((k, round(v, 4)) for k, v in self.cell.items()))
+        """Hashable identity of the cell: repeats of one step share it. A step by hand repeats no other: what comes before it, and with it,
+        is not scripted."""
+        own = {"at_s": self.t_step_s} if self.context.by_hand and self.kind != "free" else {}
+        return self.kind, tuple(sorted((k, round(v, 4)) for k, v in {**self.cell, **own}.items()))

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import Verdict
-from flighttest.diagnose.free_flight import diagnose_free_flight, is_free_flight
+from flighttest.diagnose.free_flight import diagnose_free_flight, equation_search, is_free_flight
 from flighttest.diagnose.free_flight.equation_search import find_terms
-from flighttest.diagnose.free_flight.prediction import held_out_table
+from flighttest.diagnose.free_flight.prediction import held_out_table, predicted_no_better
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.models import model_file
 from flighttest.identify.winds import FlightWind, WindVerdict, in_still_air
@@ -58,6 +58,32 @@ def test_a_tilted_thrust_axis_in_still_air_is_called_no_wind():
     assert not found.winds
     assert set(found.named) == {"attitude_offset"}
     assert abs(found.final.values["offset_pitch"] - 0.04) < 4.0 * found.final.std["offset_pitch"]
+
+
+@pytest.mark.parametrize("rule", ["outside_prior", "predicted_no_better"])
+def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monkeypatch, rule):
+    """A load of -27 % of the mass was named on a tail-sitter, 71 nats better, with errors of 1.3 and 2.8 times the base model's."""
+    monkeypatch.setattr(equation_search, rule, lambda *_, **__: "it cannot be")
+    found = find_terms(stretches(flight(60.0, 23, gust=0.1, offset=0.04, run="tilted")), ALONE, POOL)
+    assert "attitude_offset" not in found.named
+    assert found.refused["attitude_offset"][1] == "it cannot be"
+
+
+@pytest.mark.parametrize(
+    ("gains", "against"),
+    [
+        (((-0.23, -0.21), (-0.19, -0.18), (-0.04, 0.22)), "(2 and 0)"),
+        (((-0.23, -0.21), (0.01, 0.02)), ""),
+        (((-0.2, 0.01), (-0.1, 0.3)), ""),
+        (((0.1, 0.2),), ""),
+    ],
+)
+def test_a_name_goes_where_more_channels_are_surely_predicted_worse_with_it(gains, against):
+    rows = {
+        str(k): {"all": {"rmse_before": 1.0, "rmse_after": 1.0, "floor": 0.5, "gain_95": list(gain)}}
+        for k, gain in enumerate(gains)
+    }
+    assert predicted_no_better(rows)[-len(against) :] == against if against else not predicted_no_better(rows)
 
 
 def test_where_nothing_is_missing_nothing_is_named():
@@ -118,5 +144,6 @@ def test_what_is_written_and_shown_has_the_winds():
 
 def test_flights_left_out_in_turn_keep_their_own_wind():
     third = tuple(flight(60.0, 24, (-4.0, 0.0), run="third"))
-    held = held_out_table(find_terms(stretches((*calm(), *windy(), *third)), ALONE, POOL))
+    found = find_terms(stretches((*calm(), *windy(), *third)), ALONE, POOL)
+    held = held_out_table(found.flown, found.base, found.final)
     assert held["f_x"]["all"]["rmse_after"] < held["f_x"]["all"]["rmse_before"]

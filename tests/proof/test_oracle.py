@@ -120,6 +120,24 @@ def test_loops_of_the_second_order_leave_nothing_and_a_third_pole_does():
     assert sizes[0.05] > 1.0 > 5 * sizes[0.0]
 
 
+def test_loops_follow_the_autopilots_own_target_where_it_was_recorded():
+    """The same answers to a command that is twice as large: what was recorded behind the shaping is what they follow."""
+    noise = OracleNoise({**oracle.FIRST, "roll_rad": 1e-3, "pitch_rad": 1e-3}, oracle.FIRST_DISTURBANCE)
+    plain = [tilt(k) for k in range(4)]
+    asked = [
+        replace(
+            s,
+            u={n: (edges, 2.0 * x) for n, (edges, x) in s.u.items()},
+            y=s.y | {n.replace("_ref_", "_shaped_"): np.where(s.t_s >= 0.0, x[-1], x[0]) for n, (_, x) in s.u.items()},
+        )
+        for s in plain
+    ]
+    found, doubled = (oracle.left(flown, noise, 22.2).parameters["roll_pitch"] for flown in (plain, asked))
+    assert doubled == pytest.approx(
+        found, rel=0.02, abs=0.01
+    )  # the own target is known by the sample, the command by its edge
+
+
 def test_a_hidden_effect_is_measured_by_quiet_twins_with_and_without_it(monkeypatch):
     """Of two effects each has its own twin; the size that the tool claims stands beside the true one."""
     case = replace(draw(5, 3), hide={"translational_lift": {"k_lift": 0.02}, "steady_wind": {"w_north": 1.0}})

@@ -102,6 +102,10 @@ def test_a_rate_limit_slows_a_recorded_tilt():
     times, roll = added({"rate_limit": {"rate_max": 0.5}}, flown, steps=(SPAN,))["roll_rad"]
     assert roll[np.searchsorted(times, 5.3)] < -0.05
     assert abs(roll[np.searchsorted(times, 12.0)]) < 0.01
+    # Loops follow the autopilot's own target: one that never moves asks for no rate.
+    shaped = Series(t, {"roll_shaped_rad": np.zeros(t.size), "pitch_shaped_rad": np.zeros(t.size)})
+    behind = replace(flown, series={**flown.series, "shaped": shaped})
+    assert np.allclose(added({"rate_limit": {"rate_max": 0.5}}, behind, steps=(SPAN,))["roll_rad"][1], 0.0)
 
 
 LIST = """

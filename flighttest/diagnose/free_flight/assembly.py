@@ -23,16 +23,15 @@ from flighttest.diagnose.conclusion import (
 )
 from flighttest.diagnose.findings import finding, parameter_in_words, parameter_table
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
-from flighttest.diagnose.free_flight.prediction import groups_left_out, held_out_table, share_gained
+from flighttest.diagnose.free_flight.prediction import groups_left_out, held_out_table, sampling_rate, share_gained
 from flighttest.diagnose.free_flight.tables import (
     free_flight_floor,
     pairs_of_flights,
-    sampling_rate,
     table_of,
     what_separates,
 )
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.model import Diagnosis, Finding, Rival, TermVerdict, Untestable, short
+from flighttest.diagnose.model import Diagnosis, Finding, Located, Rival, TermVerdict, Untestable, short
 from flighttest.diagnose.records import CandidateRow, FloorRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.residuals.overlays import overlays
@@ -180,10 +179,10 @@ class _Assembly:
         floor = free_flight_floor(after_rows, self.air)
         places = locate(before_rows, self.segments, floor, SEED)
         left = [p for p in locate(after_rows, self.air, floor, SEED) if p.regime]
-        share = self._share_left(excess(before_rows, floor), excess(after_rows, floor), {p.channel for p in places})
+        share = self._share_left(excess(before_rows, floor), excess(after_rows, floor), places, left)
         located = [*places, *listed(self.answers, "located")]
         staying = [*left, *listed(self.answers, "staying")]
-        held = held_out_table(found) if found.named else {}
+        held = held_out_table(found.flown, found.base, found.final) if found.named else {}
         whole = {**held, **merged(a.heldout for a in self.answers)}
         before, after = table_of(found.base, self.model), parameter_table(fitted)
         findings = self._findings(held, after)
@@ -225,7 +224,7 @@ class _Assembly:
             ),
             overlays=(*overlays(before_rows, after_rows, self.segments), *listed(self.answers, "overlaid")),
             candidates=tuple(self._candidates(hidden)),
-            cost={"added_parameters": len(after) - len(before), "held_out_groups": groups_left_out(found)[1]},
+            cost={"added_parameters": len(after) - len(before), "held_out_groups": groups_left_out(found.final)[1]},
             mass=mass_test(previous, {n: (row["value"], row["scatter"]) for n, row in after.items()}),
             notes=(*listed(self.answers, "notes"), *self._notes(), *compensated_voltage(after)),
             complete=self.complete,
@@ -233,11 +232,15 @@ class _Assembly:
             winds=tuple(wind_rows(found.winds, found.declared)),
         )  # fmt: skip
 
-    def _share_left(self, first: Mapping[str, float], last: Mapping[str, float], above: set[str]) -> float:
-        """Of mean squares above the floor, before (first) and after (last): of the channels (short) above it, and of the loops."""
+    def _share_left(
+        self, first: Mapping[str, float], last: Mapping[str, float], places: Sequence[Located], left: Sequence[Located]
+    ) -> float:
+        """Of mean squares above the floor, before (first) and after (last): of the channels of places, and of the loops. Where none is
+        above it, as the floor of free flight is what is left: all, where a variable still orders a residual, else nothing."""
+        above = {p.channel for p in places}
         shares = [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
         shares += listed(self.answers, "shares")
-        return float(np.mean(shares)) if shares else 0.0
+        return float(np.mean(shares)) if shares else float(bool(left))
 
     def _findings(
         self, held: Mapping[str, Mapping[str, HeldOutRow]], after: Mapping[str, ParameterRow]
@@ -385,7 +388,7 @@ class _Assembly:
                 "the model is one in still air: the wind of each flight is in the table of winds, not in the model"
             )
         for c, noise in found.final.noise.items():
-            period = 1.0 / sampling_rate(found)
+            period = 1.0 / sampling_rate(found.flown)
             density = np.sqrt(noise.spectrum(np.array([0.1, 1.0, 0.4 / period]), period))
             notes.append(
                 f"noise of {short(c)} in these flights: {density[0]:.2g}, {density[1]:.2g} and {density[2]:.2g} m/s^2 per root Hz at 0.1, "

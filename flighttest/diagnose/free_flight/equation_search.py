@@ -10,6 +10,7 @@ term is named when its coefficients are significant by the robust covariance as 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -17,9 +18,11 @@ import numpy as np
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
+from flighttest.diagnose.free_flight.prediction import held_out_table, predicted_no_better
+from flighttest.diagnose.selection.admissible import Estimates, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
-from flighttest.diagnose.selection.comparison import PROBABILITY, probability_of
+from flighttest.diagnose.selection.comparison import PROBABILITY, log_odds_asked, probability_of
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.errors import FitError
 from flighttest.estimation.drift import DRIFT
@@ -245,7 +248,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
             continue
         smaller = asked.estimate(tried.model.without_terms(one), _shared(tried.values))
         nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
-        if not _against(nats, p, level, size, tried, known[one], len(known)):
+        if not _against(_Trial(known[one], smaller, tried, nats, p, size), asked, len(known)):
             found.named[one] = NamedByEquations(one, nats, p, size)
 
 
@@ -284,7 +287,8 @@ def _step(
         term = known[s.term]
         size, p_value = effect_sizes(before, asked.streams(one)), significance(one, now, term, asked.flown)
         # Alone it takes up whatever tilts the vehicle: a wind is named beside what looks like it (`_wind_first`), or not at all.
-        why = NOT_BESIDE if s.term == WIND_TERM else _against(nats, p_value, level, size, one, term, len(known))
+        trial = _Trial(term, now, one, nats, p_value, size)
+        why = NOT_BESIDE if s.term == WIND_TERM else _against(trial, asked, len(known))
         if why:
             if s.term != WIND_TERM or WIND_TERM not in found.refused:  # what `_wind_first` found says more
                 found.refused[s.term] = (nats, why)
@@ -301,27 +305,35 @@ def _step(
     return False
 
 
-def _against(
-    nats: float, p_value: float, level: float, size: Mapping[str, float], found: FreeFlight, term: Term, candidates: int
-) -> str:
+@dataclass(frozen=True)
+class _Trial:
+    """A term that `larger` has and `smaller` has not. nats, p_value, size: as of `NamedByEquations`."""
+
+    term: Term
+    smaller: FreeFlight
+    larger: FreeFlight
+    nats: float
+    p_value: float
+    size: Mapping[str, float]
+
+
+def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
     """Why a term is not taken; empty where it is."""
+    nats, p_value, level = trial.nats, trial.p_value, CHANCE / max(candidates, 1)
     if not np.isfinite(nats) or nats <= 0.0:
         return f"it predicts no better than its parameters cost ({nats:.1f} nats)"
     if (probability := probability_of(nats, candidates)) < PROBABILITY:
         return f"evidence of {nats:.1f} nats: the probability that it is needed is {probability:.2g}"
     if p_value >= level:
         return f"its coefficients are not significant (p {p_value:.2g}, asked {level:.2g})"
-    if all(value < DRIFT.get(c, 0.0) for c, value in size.items()):
-        channel, value = max(size.items(), key=lambda kv: kv[1])
+    if all(value < DRIFT.get(c, 0.0) for c, value in trial.size.items()):
+        channel, value = max(trial.size.items(), key=lambda kv: kv[1])
         return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
-    bound = [
-        p.name
-        for p in term.params
-        if p.name in found.names and not p.lower + 1e-6 < found.values[p.name] < p.upper - 1e-6
-    ]
-    if bound and set(bound) & {p.name for p in term.amplitudes or term.params}:
-        return f"{bound[0]} is at its bound"
-    return ""
+    found = trial.larger
+    estimates = Estimates(found.names, found.values, lambda: found.std, asked.flown)
+    return outside_prior(trial.term, estimates, math.sqrt(2.0 * log_odds_asked(candidates))) or predicted_no_better(
+        held_out_table(asked.flown, trial.smaller, found)
+    )
 
 
 def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:

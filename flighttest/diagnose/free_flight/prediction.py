@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from flighttest.diagnose.block import SEED
-from flighttest.diagnose.free_flight.equation_search import EquationSearch
-from flighttest.diagnose.free_flight.tables import (
-    sampling_rate,
-)
 from flighttest.diagnose.model import short
 from flighttest.diagnose.records import HeldOutRow
 from flighttest.estimation.equation_error import Whitened, block_rows, whiten
 from flighttest.estimation.linearisation import FloatArray
 from flighttest.identify.free_flight import FreeFlight
 from flighttest.identify.motion_equations import Equations
+from flighttest.segments.model import Segment
 
 MEANS_S = 0.5  # residuals are held out as means over this long: shorter ones are noise of differentiated velocity
 DRAWS = 200
 
 
-def groups_left_out(found: EquationSearch) -> tuple[int, str]:
+def sampling_rate(flown: Sequence[Segment]) -> float:
+    """Median rate of the samples, Hz."""
+    return 1.0 / float(np.median(np.concatenate([np.diff(s.t_s) for s in flown])))
+
+
+def groups_left_out(found: FreeFlight) -> tuple[int, str]:
     """How many groups are left out in turn, and what they are: flights where there are three or more, else pieces of the flight."""
-    many = len(found.final.flights)
+    many = len(found.flights)
     return (many, "flights") if many >= 3 else (5, "pieces of the flight")
 
 
@@ -36,12 +39,14 @@ def share_gained(row: HeldOutRow | None) -> float:
     return float((row["rmse_before"] ** 2 - row["rmse_after"] ** 2) / (row["rmse_before"] ** 2 - row["floor"] ** 2))
 
 
-def held_out_table(found: EquationSearch) -> dict[str, dict[str, HeldOutRow]]:
-    """Channel (short) to RMS errors of means over half a second, of groups not used, without and with what is named.
+def held_out_table(
+    flown: Sequence[Segment], smaller: FreeFlight, larger: FreeFlight
+) -> dict[str, dict[str, HeldOutRow]]:
+    """Channel (short) to RMS errors of means over half a second, of groups not used, of two models of these flights.
 
     Parameters without a group by one Gauss-Newton step from the estimate with it; a flight's own wind is taken as estimated.
     """
-    errors = [_left_out(found, one) for one in (found.base, found.final)]
+    errors = [_left_out(flown, one) for one in (smaller, larger)]
     table: dict[str, dict[str, HeldOutRow]] = {}
     rng = np.random.default_rng(SEED)
     for channel in errors[0]:
@@ -61,15 +66,27 @@ def held_out_table(found: EquationSearch) -> dict[str, dict[str, HeldOutRow]]:
     return table
 
 
-def _left_out(found: EquationSearch, one: FreeFlight) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
+def predicted_no_better(table: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
+    """Why a table of `held_out_table` speaks against the larger model, empty where it does not: more channels are surely predicted worse
+    with it than better."""
+    gains = [row["all"]["gain_95"] for row in table.values()]
+    worse, better = sum(high < 0.0 for _, high in gains), sum(low > 0.0 for low, _ in gains)
+    return (
+        f"of what was not used, more channels are predicted worse with it than better ({worse} and {better})"
+        if worse > better
+        else ""
+    )
+
+
+def _left_out(flown: Sequence[Segment], one: FreeFlight) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
     """Channel to (means of the residual as predicted without their group, their group, means of the residual of the whole estimate)."""
     names = list(dict.fromkeys(n.split("@")[0] for n in one.names))
     own = tuple(n for n in names if n not in one.names)
     with np.errstate(all="ignore"):
-        streams, columns = Equations(one.model, found.flown).streams(one.values, names, own)
+        streams, columns = Equations(one.model, flown).streams(one.values, names, own)
     place = [columns.index(n) for n in one.names]
-    count, kind = groups_left_out(found)
-    period = 1.0 / sampling_rate(found)
+    count, kind = groups_left_out(one)
+    period = 1.0 / sampling_rate(flown)
     rows = block_rows(one.seconds, period)
     many = max(round(MEANS_S / period), 1)
     parts: list[Whitened] = []

@@ -71,8 +71,3 @@ def free_flight_floor(rows: Linearisation, segments: Sequence[Segment]) -> Noise
         for c, name in enumerate(rows.channels)
     }
     return NoiseFloor({c: max(v, left.get(c, 0.0)) for c, v in least.std.items()}, frozenset(), {})
-
-
-def sampling_rate(found: EquationSearch) -> float:
-    """Median rate of the samples, Hz."""
-    return 1.0 / float(np.median(np.concatenate([np.diff(s.t_s) for s in found.flown])))

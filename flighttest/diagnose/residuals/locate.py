@@ -35,6 +35,7 @@ LEAST_RESPONSES = 12
 VARIABLES = {
     "speed_forward_m_s": ("forward speed", "m/s"), "speed_left_m_s": ("speed to the left", "m/s"),
     "speed_up_m_s": ("vertical speed", "m/s"), "tilt_rad": ("tilt", "rad"), "heading_rad": ("heading", "rad"),
+    "p_rad_s": ("roll rate", "rad/s"), "q_rad_s": ("pitch rate", "rad/s"), "r_rad_s": ("yaw rate", "rad/s"),
     "height_m": ("height", "m"), "throttle": ("throttle", ""), "throttle_rate_1_s": ("throttle rate", "1/s"),
     "voltage_v": ("battery voltage", "V"), "time_since_takeoff_s": ("time since take-off", "s"),
     "time_since_command_s": ("time since the last command", "s"),
@@ -59,8 +60,7 @@ def regime_variables(segment: Segment) -> dict[str, FloatArray]:
     height = y.get("height_m", y.get("p_z_m"))
     if height is not None:
         found["height_m"] = np.asarray(height)
-    if "voltage_v" in y:
-        found["voltage_v"] = np.asarray(y["voltage_v"])
+    found |= {name: np.asarray(y[name]) for name in ("p_rad_s", "q_rad_s", "r_rad_s", "voltage_v") if name in y}
     if "throttle" in segment.u:
         throttle = segment.u["throttle"]
         found["throttle"] = zero_order_hold(throttle, t)

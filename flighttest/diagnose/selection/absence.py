@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
+from flighttest.diagnose.selection.admissible import unit_suffix
 from flighttest.diagnose.selection.comparison import (
     LEVEL,
     Fitted,
     log_evidence,
     log_odds_asked,
     rows_in_noise_of,
-    unit_suffix,
 )
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import IntArray

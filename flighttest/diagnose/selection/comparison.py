@@ -15,7 +15,8 @@ import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
-from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
+from flighttest.diagnose.selection.admissible import Estimates, outside_prior
+from flighttest.diagnose.selection.candidates import null_value, redundant
 from flighttest.diagnose.selection.held_out import (
     FEWEST_GROUPS,
     CrossValidation,
@@ -33,9 +34,8 @@ from flighttest.diagnose.selection.held_out import (
 from flighttest.estimation.estimator import Estimator, finite
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
 from flighttest.estimation.problem import Noise, kinds_of
-from flighttest.estimation.responses import zero_order_hold
 from flighttest.estimation.uncertainty.distributions import NORMAL_95
-from flighttest.physics.core import Param, Term
+from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
@@ -278,78 +278,9 @@ def log_odds_asked(candidates: int) -> float:
 def inadmissible(
     term: Term, fitted: Fitted, segments: Sequence[Segment], candidates: int, *, repeated: bool = False
 ) -> str:
-    """Why the estimates of a term are outside its prior: at a bound (where steps were repeated, not at its `natural_bound`; else
-    also within their error of a lower one: a time constant that is not distinguished from none has not been seen), on the side
-    of the null value that physics does not allow, a limit that nothing in the flights reached. Empty where they are inside."""
-    values = fitted.at.values
-    own = [p for p in term.params if p.name in fitted.names]
-    coefficients = [p for p in own if p.kind == "amplitude"]
-    if any(not p.alone for p in coefficients):
-        # Some coefficients (an upward wind) are this effect only beside the others of their term, which must then be there by themselves.
-        errors = standard_errors(fitted, segments)
-        least = math.sqrt(2.0 * log_odds_asked(candidates))
-        if not any(p.alone and abs(values[p.name] - null_value(p)) > least * errors[p.name] for p in coefficients):
-            return f"{', '.join(p.name for p in coefficients if not p.alone)} alone, without the rest of the term, is another effect"
-    for p in own:
-        value = values[p.name]
-        bound = "lower" if value <= p.lower else "upper" if value >= p.upper else ""
-        # Where the bound is a usual value, as of a pure pole or of a share that is all or nothing, to be there is usual.
-        at_bound = bound not in ("", p.natural_bound if repeated else "") and value not in (p.nominal, *p.screen)
-        # A coefficient whose place shapes may take runs to its bound though data hardly prefer it there.
-        if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
-            return f"{p.name} is at its bound, {value:.3g}{unit_suffix(p)}"
-        if p.natural_bound == "lower" and not repeated and value - p.lower <= (error := _error(p, fitted, segments)):
-            return f"{p.name} is {value:.3g} +- {error:.1g}{unit_suffix(p)}, which may be its bound, {p.lower:.3g}{unit_suffix(p)}"
-        wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0
-        # One of several may be there by chance.
-        if wrong and (len(coefficients) == 1 or abs(value - null_value(p)) > _by_chance(p, fitted, segments)):
-            return f"{p.name} is {value:.3g}{unit_suffix(p)}, which physics does not allow"
-        if p.limits and (most := max((_most(p.limits, values, s) for s in segments), default=0.0)) < value:
-            return f"{p.name} is {value:.3g}{unit_suffix(p)}, and no more than {most:.3g} was flown"
-        if p.limits == "throttle" and value < (half := _median_throttle(segments)):
-            return f"{p.name} is {value:.3g}{unit_suffix(p)}, and half of the flight is above {half:.3g}: no height is held beyond a limit"
-    return ""
-
-
-def unit_suffix(p: Param) -> str:
-    """The unit behind a value, nothing where it has none."""
-    return "" if p.unit == "1" else f" {p.unit}"
-
-
-def _error(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> float:
-    """Half an estimate's 95 % interval."""
-    return NORMAL_95 * standard_errors(fitted, segments)[p.name]
-
-
-def _known(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> bool:
-    """Whether data separate an estimate from the coefficient's usual value."""
-    return abs(fitted.at.values[p.name] - p.nominal) > _error(p, fitted, segments)
-
-
-def _by_chance(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> float:
-    """How far on the wrong side a coefficient may be estimated that is next to nothing."""
-    return max(0.1 * abs(usual_size(p)), _error(p, fitted, segments))
-
-
-def _most(what: str, values: dict[str, float], segment: Segment) -> float:
-    """Most of a limited signal in one response: of throttle, or of the rate (rad/s) that angle loops ask for with these parameters."""
-    if what == "throttle":
-        return float(np.max(zero_order_hold(segment.u.get("throttle"), segment.t_s)))
-    asked = [0.0]
-    for axis, greek in (("roll", "phi"), ("pitch", "theta")):
-        angle = segment.y.get(f"{axis}_rad")
-        if angle is not None and f"omega_{greek}" in values:
-            error = np.nanmax(
-                np.abs(zero_order_hold(segment.u.get(f"{axis}_ref_rad"), segment.t_s) - angle), initial=0.0
-            )
-            asked.append(values[f"omega_{greek}"] / (2.0 * values[f"zeta_{greek}"]) * float(error))
-    return max(asked)
-
-
-def _median_throttle(segments: Sequence[Segment]) -> float:
-    """Of all samples."""
-    flown = [zero_order_hold(s.u["throttle"], s.t_s) for s in segments if "throttle" in s.u]
-    return float(np.median(np.concatenate(flown))) if flown else 0.0
+    """As of `outside_prior`, of a fitted model. candidates: terms of the search."""
+    found = Estimates(fitted.names, fitted.at.values, lambda: standard_errors(fitted, segments), segments)
+    return outside_prior(term, found, math.sqrt(2.0 * log_odds_asked(candidates)), repeated=repeated)
 
 
 def _change(rows: Linearisation, first: FloatArray, second: FloatArray) -> FloatArray:

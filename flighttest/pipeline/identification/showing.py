@@ -193,7 +193,10 @@ def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
     used = [s for s in segments if s.usable]
     steps = [s for s in used if s.kind != "free"]
     recording = look.recording
-    if len(steps) >= STEPS_OF_A_MANEUVER:
+    if not segments:
+        begin, end = recording.t_span_s
+        kind = f"A recording of {duration(end - begin)} with no flight in it"
+    elif len(steps) >= STEPS_OF_A_MANEUVER:
         marked = any(m.kind == "leg" for m in recording.markers)
         kind = f"A {'maneuver ' if marked else ''}flight of {duration(air_s)} with {len(steps)} usable steps"
     elif any(recording.has(n) for n in ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")):

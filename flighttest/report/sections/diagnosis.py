@@ -132,7 +132,12 @@ def _findings(data: DiagnosisData) -> Section:
         blocks.append(Paragraph(_sentence(str(data["mass"].get("sentence", ""))), "warn"))
     if not blocks:
         searched = "of what was searched before the interruption " if data.get("complete") is False else ""
-        blocks.append(Paragraph(f"No physics of the catalogue {searched}is needed to explain these recordings."))
+        explains = (
+            "explains this mismatch"
+            if data.get("verdict") == "UNKNOWN_PHYSICS"
+            else "is needed to explain these recordings"
+        )
+        blocks.append(Paragraph(f"No physics of the catalogue {searched}{explains}."))
     return Section("findings", "What physics is missing", tuple(blocks))
 
 
