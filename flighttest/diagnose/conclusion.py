@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.model import Located, Verdict
+from flighttest.diagnose.model import Finding, Located, TermVerdict, Verdict
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import SIGNIFICANCE
 from flighttest.estimation.drift import DISTURBANCE_DRIFT
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.physics.body import DELAY_PARAM
+from flighttest.physics.catalogue import catalogue
 
 EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
 DELAYS_DIFFER_S = 0.01
@@ -31,12 +31,14 @@ def verdict_of(any_named: bool, share: float, located: bool, still: bool) -> Ver
     return Verdict.EXPLAINED if not still or share <= EXPLAINED_SHARE else Verdict.PARTLY
 
 
-def sentence_of(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any], complete: bool) -> str:
+def sentence_of(
+    verdict: Verdict, findings: Sequence[Finding], share: float, located: Sequence[Located], complete: bool
+) -> str:
     """The answer in one sentence."""
     if not complete and verdict is Verdict.NOTHING_MISSING:
         return "Interrupted: nothing was found missing until then. Effects that were not searched may be missing."
     more = "" if complete else " Interrupted: there may be more."
-    names = ", ".join(f.title.lower() for f in findings)
+    names = ", ".join(_name(f) for f in findings)
     if verdict is Verdict.EXPLAINED:
         gone = 100 * max(0.0, 1 - share)
         return (
@@ -54,6 +56,14 @@ def sentence_of(verdict: Verdict, findings: Sequence[Any], share: float, located
         else verdict.value
     )
     return determined + more
+
+
+def _name(finding: Finding) -> str:
+    """The title of a finding, with what would explain the recordings as well."""
+    others = [catalogue()[r.term].title.lower() for r in finding.rivals if r.verdict is TermVerdict.CONFUSABLE]
+    return finding.title.lower() + (
+        f" (or {' or '.join(others)}: these recordings do not distinguish them)" if others else ""
+    )
 
 
 def moved_parameters(previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, ParameterRow]) -> str:

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import Verdict
+from flighttest.diagnose.conclusion import sentence_of
 from flighttest.diagnose.free_flight import diagnose_free_flight, equation_search, is_free_flight
 from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.diagnose.free_flight.prediction import held_out_table, predicted_no_better
+from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.models import model_file
 from flighttest.identify.winds import FlightWind, WindVerdict, in_still_air
@@ -131,6 +133,18 @@ def test_the_autopilot_has_trimmed_the_mean_velocity_through_the_air_in_body_axe
     forward, up = 4.0 * np.cos(0.3) - np.sin(0.3), 4.0 * np.sin(0.3) + np.cos(0.3)
     for one in found:
         assert one.context.trimmed_m_s == pytest.approx((forward, 0.0, up))
+
+
+def test_the_headline_says_what_these_flights_do_not_distinguish():
+    """One heading: a wind of 4.2 m/s in a tunnel was called a tilted thrust axis, with the rival only further down."""
+    found = diagnosed()
+    rival = Rival("attitude_offset", TermVerdict.CONFUSABLE, 1.0, "fly a second heading")
+    one = replace(found.findings[0], rivals=(rival,))
+    said = sentence_of(Verdict.EXPLAINED, [one], 0.1, found.located, True)
+    assert "steady wind (or thrust axis and reported attitude differ: these recordings do not distinguish them)" in said
+    assert "distinguish" not in found.sentence
+    other = replace(rival, verdict=TermVerdict.NOT_NEEDED)
+    assert "(or" not in sentence_of(Verdict.EXPLAINED, [replace(one, rivals=(other,))], 0.1, found.located, True)
 
 
 def test_what_is_written_and_shown_has_the_winds():
