@@ -111,9 +111,9 @@ def answer(block: str, asked: Asked) -> BlockAnswer:
         estimator, pool, asked.groups, inactive, origin, progress=lambda text: asked.tell(f"{block}: {text}")
     )
     try:
-        begun = replace(
-            estimator.start(own, asked.base.values), noise=asked.base.noise, nuisance=dict(asked.base.start.nuisance)
-        )
+        begun = estimator.start(own, asked.base.values)
+        # Of a channel that the base could not be fitted to (a pitch that nothing moved) the usual noise.
+        begun = replace(begun, noise=begun.noise | asked.base.noise, nuisance=dict(asked.base.start.nuisance))
         search.run(own, begun)
     except KeyboardInterrupt:
         made.complete = False

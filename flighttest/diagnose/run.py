@@ -34,7 +34,6 @@ from flighttest.diagnose.selection.held_out import held_out_groups
 from flighttest.diagnose.selection.search import Search, silent
 from flighttest.errors import FitError
 from flighttest.estimation.estimator import BLOCKS
-from flighttest.estimation.problem import Noise
 from flighttest.estimation.solver import Start
 from flighttest.identify.diagnostics.local_optima import misfit
 from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
@@ -277,18 +276,15 @@ def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
     start = {n: v for n, v in asked.base.values.items() if n in final.names}
     held: dict[str, float] = {}
     noise = asked.base.noise
-    channel, disturbance, correlation = dict(noise.channel), dict(noise.disturbance), dict(noise.correlation)
     nuisance = dict(asked.base.start.nuisance)
     for search in searches:
         assert search.now is not None
         values = search.now.at.values  # of every parameter: those of other blocks are the base's
         held |= {n: values[n] for t in search.named for n in search.held(t)}
         start |= {n: values[n] for n in search.now.names} | held
-        channel |= search.now.at.noise.channel
-        disturbance |= search.now.at.noise.disturbance
-        correlation |= search.now.at.noise.correlation
+        noise |= search.now.at.noise
         nuisance |= search.now.at.nuisance
-    begun = Start(start, Noise(channel, disturbance, correlation), nuisance)
+    begun = Start(start, noise, nuisance)
     return fit(asked.segments, final, select="all", start=begun, frozen=held, robust=False)
 
 

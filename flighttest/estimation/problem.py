@@ -132,6 +132,14 @@ class Noise:
         """(n_outputs,) std by which a sample counts in a sum of squares: that of white noise with the same power at low frequencies."""
         return np.array([self.channel[c] * np.sqrt(self.correlation.get(c, 1.0)) for c in outputs])
 
+    def __or__(self, other: Noise) -> Noise:
+        """This noise with another's in its place where that is known."""
+        return Noise(
+            {**self.channel, **other.channel},
+            {**self.disturbance, **other.disturbance},
+            {**self.correlation, **other.correlation},
+        )
+
 
 def cells_of(segments: Sequence[Segment]) -> NDArray[np.intp]:
     """(n_segments,) index of each segment's cell: repeats of one step share it, a window of free flight is a cell of its own."""

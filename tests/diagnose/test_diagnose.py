@@ -46,6 +46,13 @@ def test_steady_wind_is_named_and_measured(windy):
     assert wind["w_west"]["value"] == pytest.approx(-1.0, abs=0.15)
 
 
+def test_flights_that_move_one_axis_are_searched_for_that_one():
+    """Pilots' logs of a few seconds, in which roll moved and pitch did not, ended in a KeyError: 'pitch_rad'."""
+    rolls = tuple(s for s in tilts() if s.kind == "roll_step")
+    assert rolls
+    assert diagnose(rolls, only=("rate_limit",)).verdict is Verdict.NOTHING_MISSING
+
+
 def test_an_interval_of_wind_holds_what_instruments_drift_by_and_no_more():
     """0.05 m/s^2 over drag of 0.4 1/s is 0.13 m/s. Flown once, 2.4 m/s was +- 2.3 and zero +- 7: what a response's own disturbance leaves
     of a constant is known by that disturbance's prior, which was not counted."""
