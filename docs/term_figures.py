@@ -47,6 +47,7 @@ SIZES: dict[str, dict[str, float]] = {
     "ground_effect": {"R2_m2": 1.5},
     "motor_saturation": {"T_max": 0.33},
     "quadratic_drag": {"k_x": 0.06, "k_y": 0.06, "k_z": 0.06},
+    "rate_feedforward": {"feedforward_s": 0.035},
     "roll_pitch_coupling": {"pitch_to_roll": 0.15, "roll_to_pitch": 0.15},
     "steady_wind": {"w_north": 5.0, "w_west": 3.0, "w_up": 0.0},
     "throttle_offset": {"T_min": 0.06},

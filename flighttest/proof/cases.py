@@ -28,9 +28,9 @@ CaseKind = Literal["clean", "single", "pair", "outside", "natural"]
 # Shares of trials: clean, one effect, two effects, physics outside the catalogue.
 SHARES = (("clean", 0.34), ("single", 0.42), ("pair", 0.14), ("outside", 0.10))
 FACTOR = (0.7, 2.5)  # an effect is its usual size times this, drawn evenly in the logarithm
-# Not hidden: linear drag is in the paper's model; delays per channel are in the fit. Moments of the air came after the trials of the
-# frozen bench were drawn, which one more effect to draw from would change; `tests/diagnose/test_diagnose.py` conceals them.
-NOT_HIDDEN = ("linear_drag", "channel_delay", "airflow_moment")
+# Not hidden: linear drag is in the paper's model; delays per channel are in the fit. Moments of the air and the rate feedforward came
+# after the trials of the frozen bench were drawn, which one more effect to draw from would change; tests/diagnose conceals them.
+NOT_HIDDEN = ("linear_drag", "channel_delay", "airflow_moment", "rate_feedforward")
 
 
 @dataclass(frozen=True)

@@ -167,6 +167,14 @@ def test_a_term_that_left_beside_another_that_left_later_is_tried_again(searched
     assert search.named == {"a", "b"}
 
 
+def test_a_term_that_left_beside_one_that_cannot_be_is_asked_of_by_itself(searched):
+    """A rate feedforward is what a reference shaping of no length does, too: it left beside one, which then was at its bound."""
+    finds = {("ab", "a"): 0.0, ("ab", "b"): ("it is at its bound", 93.0), "b": ("it is at its bound", 93.0), "a": 94.0}
+    search = searched({"ab": 12.0, "a": 10.0}, finds)
+    assert search.refits == ["ab", "a"]
+    assert search.named == {"a"}
+
+
 def test_a_term_that_is_not_needed_beside_a_better_one_that_was_refused_is_not_named(searched):
     """Half an angle boost, refused at its bound with 93 nats, and a translational lift of 12 nats: neither is there."""
     scores, bound = {"a": 10.0, "b": 8.0}, "it is at its bound"

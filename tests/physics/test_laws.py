@@ -257,6 +257,8 @@ WITNESSES = {
     ),
     # pitch_ref, roll_ref, target_pitch, target_roll: what the loop is given runs ahead of the target.
     "reference_shaping": ({"shaping_ff": 1.0}, {}, [0.1 * 2 * 0.39 / 23.4, 0.3 + 0.1 * 2 * 0.44 / 25.43, 0.0, 0.3]),
+    # pitch_ref, roll_ref: what is 0.1 rad ahead of the angle, and 0.1 s times the rate at which it follows the reference in 15 ms
+    "rate_feedforward": ({}, {}, [0.0 - 0.1 * 0.2 / 0.015, 0.3]),
     "yaw_rate_shaping": ({}, {}, [0.6]),
     "heading_hold": ({"heading_gain": 2.0}, {}, [0.0, 0.0, 21.54 * 2.0 * 0.1]),
     # r = cos(roll) cos(pitch) yaw_dot - sin(roll) pitch_dot, half of the way there
@@ -288,6 +290,21 @@ def simulate(term_id, values, reference, duration_s, dt=0.001):
         out.append(float(value))
         at = at + dt * slope.full().ravel()
     return np.array(out)
+
+
+def test_a_reference_that_moves_is_led_by_its_rate_and_one_that_stands_is_not():
+    term, reference, x = TERMS["rate_feedforward"], ca.SX.sym("reference"), states(TERMS["rate_feedforward"], 0.0)
+    s = signals(flight(roll=0.0, pitch=0.0, roll_rate=0.0, pitch_rate=0.0, pitch_ref=0.0))
+    s.roll_ref = reference
+    rates = compiled(term, params(term, feedforward_s=0.2), s, "roll_ref", x, (reference,))
+    at, dt, asked = np.zeros(len(x)), 0.001, np.append(0.5 * np.arange(0.0, 1.0, 0.001), np.full(500, 0.5))
+    given = []
+    for now in asked:
+        value, slope = rates(at, now)
+        given.append(float(value) - now)
+        at = at + dt * slope.full().ravel()
+    assert given[900] == pytest.approx((0.2 - 0.015) * 0.5, rel=1e-2)
+    assert given[-1] == pytest.approx(0.0, abs=1e-6)
 
 
 def compiled(term, values, given, channel, at, inputs=()):

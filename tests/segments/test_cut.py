@@ -241,7 +241,7 @@ def test_steps_by_hand_take_time_and_are_found(fly):
     assert len(steps) == 3
     assert steps[0].t_step_s == pytest.approx(102.0, abs=0.03)
     assert steps[0].cell["amplitude_rad"] == pytest.approx(0.3, abs=0.02)
-    # Nobody scripted them alike: what they differ by is no noise.
+    # No script made them alike: what they differ by is no noise.
     assert len({s.cell_key for s in steps}) == 3
     assert [s.repeat for s in steps] == [1, 1, 1]
 

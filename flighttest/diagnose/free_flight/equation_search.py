@@ -19,7 +19,7 @@ import numpy as np
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
 from flighttest.diagnose.free_flight.prediction import held_out_table, predicted_no_better
-from flighttest.diagnose.selection.admissible import Estimates, outside_prior
+from flighttest.diagnose.selection.admissible import EstimatedTerm, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import PROBABILITY, log_odds_asked, probability_of
@@ -330,7 +330,7 @@ def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
         channel, value = max(trial.size.items(), key=lambda kv: kv[1])
         return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
     found = trial.larger
-    estimates = Estimates(found.names, found.values, lambda: found.std, asked.flown)
+    estimates = EstimatedTerm(found.names, found.values, lambda: found.std, asked.flown)
     return outside_prior(trial.term, estimates, math.sqrt(2.0 * log_odds_asked(candidates))) or predicted_no_better(
         held_out_table(asked.flown, trial.smaller, found)
     )

@@ -67,7 +67,7 @@ def held_out_table(
 
 
 def predicted_no_better(table: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
-    """Why a table of `held_out_table` speaks against the larger model, empty where it does not: more channels are surely predicted worse
+    """Why a table of `held_out_table` is against the larger model, empty where it is not: more channels are surely predicted worse
     with it than better."""
     gains = [row["all"]["gain_95"] for row in table.values()]
     worse, better = sum(high < 0.0 for _, high in gains), sum(low > 0.0 for low, _ in gains)

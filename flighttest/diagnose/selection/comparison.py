@@ -15,7 +15,7 @@ import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
-from flighttest.diagnose.selection.admissible import Estimates, outside_prior
+from flighttest.diagnose.selection.admissible import EstimatedTerm, outside_prior
 from flighttest.diagnose.selection.candidates import null_value, redundant
 from flighttest.diagnose.selection.held_out import (
     FEWEST_GROUPS,
@@ -279,7 +279,7 @@ def inadmissible(
     term: Term, fitted: Fitted, segments: Sequence[Segment], candidates: int, *, repeated: bool = False
 ) -> str:
     """As of `outside_prior`, of a fitted model. candidates: terms of the search."""
-    found = Estimates(fitted.names, fitted.at.values, lambda: standard_errors(fitted, segments), segments)
+    found = EstimatedTerm(fitted.names, fitted.at.values, lambda: standard_errors(fitted, segments), segments)
     return outside_prior(term, found, math.sqrt(2.0 * log_odds_asked(candidates)), repeated=repeated)
 
 

@@ -123,7 +123,10 @@ class Search:
                 continue
             replaced = self._replaced(before, kept, evidence) if self._better(kept, before) else {}
             if replaced or not self._better(kept, before):
-                self.rejected |= {t: e for t, e in left.items() if t in proposed} | replaced
+                # What was not needed beside a newcomer that left, too, was not asked of by itself.
+                members = self._members(before)
+                alone = {t: e for t, e in left.items() if e.inadmissible or self._members(e.without) <= members}
+                self.rejected |= {t: e for t, e in alone.items() if t in proposed} | replaced
                 continue
             self.now, self.evidence, self.candidates = kept, evidence, []  # columns are of the model before
             # What was not needed beside another model may be needed beside this one; what is inadmissible stays out.
