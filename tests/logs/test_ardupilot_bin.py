@@ -245,3 +245,22 @@ def test_rates_without_an_attitude_are_no_level_attitude(dataflash, tmp_path):
     assert not r.has("roll_ref_rad")
     assert r.channel("yaw_rate_ref_rad_s")[1][0] == pytest.approx(-np.radians(10.0))
     assert r.channel("throttle")[1][0] == pytest.approx(0.3)
+
+
+def test_where_no_command_was_logged_the_yaw_rate_asked_for_is_that_of_the_heading_target(dataflash, tmp_path):
+    """RATE.YDes holds the correction of the heading error: beside it sigma_r was fitted to what the yaw rate itself had caused."""
+    log = with_attitude(dataflash())
+    log.format("RATE", "Qfffffff", "TimeUS,RDes,R,PDes,P,YDes,Y,AOut")
+    heading = np.concatenate([np.full(50, 350.0), 350.0 + 30.0 * np.arange(1, 51) / 50, np.full(50, 90.0)]) % 360.0
+    for k, desired in enumerate(heading):
+        log.write("ATT", 10_000_000 + 20_000 * k, 0, 0, 0, 0, desired, 10.0)
+        log.write("RATE", 10_000_000 + 20_000 * k, 0, 0, 0, 0, 57.0, 20.0, 0)
+    r = import_log(log.save(tmp_path / "a.bin"))
+    t_s, asked = r.channel("yaw_rate_ref_rad_s")
+    since = t_s - r.channel("yaw_rad")[0][0]
+    assert asked[(since > 0.02) & (since < 0.98)] == pytest.approx(0.0, abs=1e-9)
+    assert asked[(since > 1.0) & (since < 1.98)] == pytest.approx(-np.radians(30.0), rel=1e-4)  # clockwise, through north
+    assert np.isnan(asked[(since > 1.99) & (since < 2.0)]).all()  # set anew: 70 degrees within one sample are no rate
+    assert asked[since > 2.02] == pytest.approx(0.0, abs=1e-9)
+    assert r.channel("yaw_rate_shaped_rad_s")[1] == pytest.approx(-np.radians(57.0))
+    assert "own target" in r.provenance.derived["yaw_rate_ref_rad_s"]

@@ -29,7 +29,7 @@ from flighttest.recording.manifest import ClockData
 FloatArray = NDArray[np.float64]
 
 _TIME = ("TimeUS", "TimeMS")
-_ANGLES = (*_TIME, "DesRoll", "Roll", "DesPitch", "Pitch", "Yaw")
+_ANGLES = (*_TIME, "DesRoll", "Roll", "DesPitch", "Pitch", "DesYaw", "Yaw")
 _EKF = (*_TIME, "C", "VN", "VE", "VD", "PN", "PE", "PD")
 _BATTERY = (*_TIME, "Inst", "Instance", "Volt", "Curr")
 WANTED: dict[str, tuple[str, ...] | None] = {

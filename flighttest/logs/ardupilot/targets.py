@@ -17,6 +17,9 @@ from flighttest.recording import Series
 FloatArray = NDArray[np.float64]
 TargetPart = tuple[FloatArray, dict[str, FloatArray]]
 
+# A heading target that moves faster was set anew: 1.5 times what full stick asks for by default (ACRO_YAW_P 4.5 times 45 deg/s).
+FASTEST_RAD_S = 1.5 * np.radians(202.5)
+
 
 class Targets:
     """Reference, shaped and output series of one log.
@@ -38,24 +41,38 @@ class Targets:
         self.losses = losses
 
     def _own(self, suffix: str) -> list[TargetPart]:
-        """The autopilot's own attitude and yaw rate targets, NWU/FLU, with the channels' suffix."""
-        parts: list[TargetPart] = []
+        """The autopilot's own attitude target, NWU/FLU, with the channels' suffix."""
         angles = self.angles
-        if angles is not None and "DesRoll" in angles[1] and "DesPitch" in angles[1]:
-            table = angles[1]
-            target = np.radians(stack(table, "DesRoll", "DesPitch")) * [1.0, -1.0]
-            columns = {f"roll_{suffix}_rad": target[:, 0], f"pitch_{suffix}_rad": target[:, 1]}
-            one = ordered(angles[2], columns, angles[0], [])
-            parts.append((one.t_s, dict(one.columns)))
-        if "RATE" in self.tables:
-            table, t_s = self.tables["RATE"]
-            one = ordered(t_s, {f"yaw_rate_{suffix}_rad_s": -np.radians(table.get("YDes"))}, "RATE", [])
-            parts.append((one.t_s, dict(one.columns)))
-        return parts
+        if angles is None or not {"DesRoll", "DesPitch"} <= set(angles[1].raw):
+            return []
+        name, table, t_s = angles
+        target = np.radians(stack(table, "DesRoll", "DesPitch")) * [1.0, -1.0]
+        one = ordered(t_s, {f"roll_{suffix}_rad": target[:, 0], f"pitch_{suffix}_rad": target[:, 1]}, name, [])
+        return [(one.t_s, dict(one.columns))]
+
+    def _turning(self) -> list[TargetPart]:
+        """The rate of its heading target between two samples, at the middle of them; unknown where the target was set anew.
+
+        RATE.YDes is no reference: it is this rate and the correction of the heading error, so that in a flight without commands the yaw
+        rate seems to follow what it has caused.
+        """
+        if self.angles is None or "DesYaw" not in self.angles[1]:
+            return []
+        name, table, t_s = self.angles
+        one = ordered(t_s, {"yaw_rad": np.unwrap(-np.radians(table.get("DesYaw")))}, name, [])
+        if len(one) < 2:
+            return []
+        rate = np.diff(one.columns["yaw_rad"]) / np.diff(one.t_s)
+        rate = np.where(np.abs(rate) > FASTEST_RAD_S, np.nan, rate)
+        return [(one.t_s[:-1] + 0.5 * np.diff(one.t_s), {"yaw_rate_ref_rad_s": rate})]
 
     def shaped(self) -> Series | None:
         """What the autopilot itself asked its attitude and yaw rate loops for."""
         parts = self._own("shaped")
+        if "RATE" in self.tables:
+            table, t_s = self.tables["RATE"]
+            one = ordered(t_s, {"yaw_rate_shaped_rad_s": -np.radians(table.get("YDes"))}, "RATE", [])
+            parts.append((one.t_s, dict(one.columns)))
         return held_union(parts) if parts else None
 
     def reference(self, state: Series | None) -> Series | None:
@@ -80,7 +97,7 @@ class Targets:
                 self.derived["throttle"] = f"CTUN: {CLIMB_RATES}"
                 parts.append(throttle)
             return held_union(parts, 0.0) if len(parts) > 1 else Series(*parts[0])
-        parts = self._own("ref")
+        parts = [*self._own("ref"), *self._turning()]
         for _, columns in parts:
             for name in columns:
                 self.derived[name] = "the autopilot's own target is taken for the reference: the log has no GUIA"
