@@ -148,9 +148,8 @@ def _feedforward(s: Signals, p: Values, x: Values) -> Contribution:
         smoothed = angle + x[f"{axis}_reference_ahead_rad"]
         slope = (reference - smoothed) / _CATCH_UP_S
         rates[f"{axis}_reference_ahead_rad"] = slope - rate
-        references[f"{axis}_ref"] = (
-            smoothed + p["feedforward_s"] * slope
-        )  # both late by as much, which the delay makes up for
+        # Both are late by the smoothing, which the delay makes up for.
+        references[f"{axis}_ref"] = smoothed + p["feedforward_s"] * slope
     return Contribution(references, rates)
 
 
