@@ -74,7 +74,7 @@ def describe(
         r = rows.unprofiled_residual[good]
         if good.size < 200:
             continue
-        functions = candidate_functions({k: x[good] for k, x in variables.items()})
+        functions = candidate_functions({k: x[good] for k, x in variables.items() if k != name})
         table = {k: v for k, (v, _) in functions.items() if np.ptp(v) > 1e-9}
         fold = folds_of(groups)[rows.segment[good]]
         chosen, left = sparse_choice(r, table, fold)

@@ -259,7 +259,9 @@ def test_where_no_command_was_logged_the_yaw_rate_asked_for_is_that_of_the_headi
     t_s, asked = r.channel("yaw_rate_ref_rad_s")
     since = t_s - r.channel("yaw_rad")[0][0]
     assert asked[(since > 0.02) & (since < 0.98)] == pytest.approx(0.0, abs=1e-9)
-    assert asked[(since > 1.0) & (since < 1.98)] == pytest.approx(-np.radians(30.0), rel=1e-4)  # clockwise, through north
+    assert asked[(since > 1.0) & (since < 1.98)] == pytest.approx(
+        -np.radians(30.0), rel=1e-4
+    )  # clockwise, through north
     assert np.isnan(asked[(since > 1.99) & (since < 2.0)]).all()  # set anew: 70 degrees within one sample are no rate
     assert asked[since > 2.02] == pytest.approx(0.0, abs=1e-9)
     assert r.channel("yaw_rate_shaped_rad_s")[1] == pytest.approx(-np.radians(57.0))

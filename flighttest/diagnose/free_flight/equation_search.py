@@ -4,8 +4,9 @@ Each step screens every term (`equation_screen`), estimates the most significant
 one with the largest quasi-likelihood: log likelihood of the innovations divided by the variance inflation that the robust covariance
 shows (QAIC: Burnham and Anderson 2002, section 2.5), less half the logarithm of the number of blocks per parameter (Schwarz 1978). A
 term is named when its coefficients are significant by the robust covariance as well, at a level divided by the number of terms
-(Bonferroni), and its effect is larger than what estimates drift by. Wind is looked for first, against what looks like it at one heading
-(`identify.winds`).
+(Bonferroni), its effect is larger than what estimates drift by, its estimates are admissible, and of what was not used no more channels
+are surely predicted worse with it than better: the noise of each model is estimated with it, and a worse model of redder noise can be the
+likelier one. Wind is looked for first, against what looks like it at one heading (`identify.winds`).
 """
 
 from __future__ import annotations

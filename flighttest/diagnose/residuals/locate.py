@@ -183,7 +183,8 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
 
     In free flight no repeats show how far a response's disturbance alone drives a velocity away, nor how heavy the tails of the noise are:
     unless a variable orders the whole, what is left beside each response's own disturbance, which is part of the noise model, is compared
-    with the floor, or with the power of its own high frequencies where that is more.
+    with the floor, or with the power of its own high frequencies where that is more. A channel is no variable of its own residual, which
+    holds it.
     """
     tau = correlation_times(rows, rows.unprofiled_residual, segments)
     variables = sampled(rows, segments)
@@ -203,7 +204,7 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
             lasts_s = 0.0 if kind == "free" else _lasting(segments, np.unique(rows.segment[at]))
             least = floor.at(name, str(kind), lasts_s)
             excess = float(np.sum(r**2)) / least**2 - at.size
-            here = {v: x[at] for v, x in variables.items()}
+            here = {v: x[at] for v, x in variables.items() if v != name}
             mean_square = _beside_disturbance(rows, at, least) if kind == "free" else float(np.mean(r**2))
             if floor.exceeded(name, str(kind), mean_square, at.size / tau[c], lasts_s) or ordered_by_a_variable(
                 name, r, here, rows.segment[at], least, seed, flight[at]
@@ -212,7 +213,8 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
     found = []
     for _, name, kind, at, least in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
         r = rows.unprofiled_residual[at]
-        scores = {v: explained_by(r, x[at], rows.segment[at], seed, flight[at]) for v, x in variables.items()}
+        others = {v: x[at] for v, x in variables.items() if v != name}
+        scores = {v: explained_by(r, x, rows.segment[at], seed, flight[at]) for v, x in others.items()}
         best = max(scores, key=lambda v: (scores[v][1] <= 0.05, scores[v][0])) if scores else ""
         orders = Orders(best, variables[best][at], *scores[best]) if best else Orders()
         flown_as = maneuvers[kind].most_common(1)[0][0]
