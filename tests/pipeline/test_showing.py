@@ -40,6 +40,20 @@ def test_the_page_says_what_flight_it_is_and_what_it_can_tell(shown):
     assert page.stat().st_size < 2_000_000
 
 
+def test_a_log_of_a_vehicle_that_stands_has_no_flight_in_it(tmp_path):
+    """ "A free flight of 0 s with recorded commands" was said of an hour on a bench."""
+    from flighttest.pipeline.identification.showing import show
+
+    t = np.arange(0.0, 20.0, 0.02)
+    still = np.zeros(t.size)
+    columns = {"t_s": t, "f_z_m_s2": still + 9.81, "roll_rad": still, "pitch_rad": still}
+    columns["throttle"] = np.where((t > 10.0) & (t < 10.3), 0.3, 0.0)
+    table = tmp_path / "bench.csv"
+    np.savetxt(table, np.stack(list(columns.values()), axis=1), delimiter=",", header=",".join(columns), comments="")
+    said = show(table, tmp_path / "page.html").document.verdict
+    assert said.startswith("A recording of 20 s with no flight in it")
+
+
 def test_the_page_is_offline_and_holds_every_channel(shown):
     text = shown[1].read_text()
     outside = re.sub(r"<script[^>]*>.*?</script>", "", text, flags=re.DOTALL)

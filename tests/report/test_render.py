@@ -303,6 +303,16 @@ def test_an_interrupted_diagnosis_is_no_good_news():
     assert "of what was searched before the interruption" in html.page_of(shown)
 
 
+@pytest.mark.parametrize(
+    ("verdict", "said"),
+    [("UNKNOWN_PHYSICS", "explains this mismatch"), ("NOTHING_MISSING", "is needed to explain these recordings")],
+)
+def test_where_something_without_a_name_is_missing_no_page_says_that_nothing_is_needed(verdict, said):
+    data = {"verdict": verdict, "sentence": "Something.", "located": [], "findings": []}
+    shown = html.page_of(Document("diagnosis", "Something.", "warn", diagnosis_sections(data)))
+    assert f"No physics of the catalogue {said}." in shown
+
+
 def test_the_responses_shown_are_those_that_missed_by_most_noise_floors():
     def flown(channel, error):
         return {"channel": channel, "segment": f"{channel} {error}", "t_s": [0.0, 1.0], "before": [0.0, 0.0],
