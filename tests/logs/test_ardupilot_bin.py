@@ -251,7 +251,9 @@ def test_where_no_command_was_logged_the_yaw_rate_asked_for_is_that_of_the_headi
     """RATE.YDes holds the correction of the heading error: beside it sigma_r was fitted to what the yaw rate itself had caused."""
     log = with_attitude(dataflash())
     log.format("RATE", "Qfffffff", "TimeUS,RDes,R,PDes,P,YDes,Y,AOut")
-    heading = np.concatenate([np.full(50, 350.0), 350.0 + 30.0 * np.arange(1, 51) / 50, np.full(50, 90.0)]) % 360.0
+    # 30 deg/s for a second, 8 degrees within a sample (400 deg/s), and full stick of a brisk vehicle: 250 deg/s
+    turned = np.concatenate([np.full(50, 350.0), 350.0 + 0.6 * np.arange(1, 51), np.full(50, 388.0)])
+    heading = np.concatenate([turned, 388.0 + 5.0 * np.arange(1, 11)]) % 360.0
     for k, desired in enumerate(heading):
         log.write("ATT", 10_000_000 + 20_000 * k, 0, 0, 0, 0, desired, 10.0)
         log.write("RATE", 10_000_000 + 20_000 * k, 0, 0, 0, 0, 57.0, 20.0, 0)
@@ -262,7 +264,9 @@ def test_where_no_command_was_logged_the_yaw_rate_asked_for_is_that_of_the_headi
     assert asked[(since > 1.0) & (since < 1.98)] == pytest.approx(
         -np.radians(30.0), rel=1e-4
     )  # clockwise, through north
-    assert np.isnan(asked[(since > 1.99) & (since < 2.0)]).all()  # set anew: 70 degrees within one sample are no rate
-    assert asked[since > 2.02] == pytest.approx(0.0, abs=1e-9)
+    (reset,) = asked[(since > 1.985) & (since < 1.995)]
+    assert np.isnan(reset)  # the target was set anew
+    assert asked[(since > 2.02) & (since < 2.98)] == pytest.approx(0.0, abs=1e-9)
+    assert asked[since > 3.0] == pytest.approx(-np.radians(250.0), rel=1e-4)
     assert r.channel("yaw_rate_shaped_rad_s")[1] == pytest.approx(-np.radians(57.0))
     assert "own target" in r.provenance.derived["yaw_rate_ref_rad_s"]
