@@ -61,9 +61,8 @@ def sentence_of(
 def _name(finding: Finding) -> str:
     """The title of a finding, with what would explain the recordings as well."""
     others = [catalogue()[r.term].title.lower() for r in finding.rivals if r.verdict is TermVerdict.CONFUSABLE]
-    return finding.title.lower() + (
-        f" (or {' or '.join(others)}: these recordings do not distinguish them)" if others else ""
-    )
+    rest = f" (or {' or '.join(others)}: these recordings do not distinguish them)" if others else ""
+    return finding.title.lower() + rest
 
 
 def moved_parameters(previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, ParameterRow]) -> str:

@@ -261,9 +261,8 @@ def test_where_no_command_was_logged_the_yaw_rate_asked_for_is_that_of_the_headi
     t_s, asked = r.channel("yaw_rate_ref_rad_s")
     since = t_s - r.channel("yaw_rad")[0][0]
     assert asked[(since > 0.02) & (since < 0.98)] == pytest.approx(0.0, abs=1e-9)
-    assert asked[(since > 1.0) & (since < 1.98)] == pytest.approx(
-        -np.radians(30.0), rel=1e-4
-    )  # clockwise, through north
+    clockwise = -np.radians(30.0)  # through north
+    assert asked[(since > 1.0) & (since < 1.98)] == pytest.approx(clockwise, rel=1e-4)
     (reset,) = asked[(since > 1.985) & (since < 1.995)]
     assert np.isnan(reset)  # the target was set anew
     assert asked[(since > 2.02) & (since < 2.98)] == pytest.approx(0.0, abs=1e-9)

@@ -41,7 +41,7 @@ def test_the_page_says_what_flight_it_is_and_what_it_can_tell(shown):
 
 
 def test_a_log_of_a_vehicle_that_stands_has_no_flight_in_it(tmp_path):
-    """ "A free flight of 0 s with recorded commands" was said of an hour on a bench."""
+    """Of a log of a bench it was said: a free flight of 0 s with recorded commands."""
     from flighttest.pipeline.identification.showing import show
 
     t = np.arange(0.0, 20.0, 0.02)

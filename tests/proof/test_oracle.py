@@ -133,9 +133,8 @@ def test_loops_follow_the_autopilots_own_target_where_it_was_recorded():
         for s in plain
     ]
     found, doubled = (oracle.left(flown, noise, 22.2).parameters["roll_pitch"] for flown in (plain, asked))
-    assert doubled == pytest.approx(
-        found, rel=0.02, abs=0.01
-    )  # the own target is known by the sample, the command by its edge
+    # The own target is known by the sample, the command by its edge.
+    assert doubled == pytest.approx(found, rel=0.02, abs=0.01)
 
 
 def test_a_hidden_effect_is_measured_by_quiet_twins_with_and_without_it(monkeypatch):

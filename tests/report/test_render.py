@@ -40,8 +40,6 @@ from flighttest.report.render.figure_files import write_figures
 from flighttest.report.render.plain import plain
 from flighttest.report.render.plotly_figure import LIGHT
 from flighttest.report.render.svg import WIDTH, as_svg
-from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone
-from flighttest.report.sections.diagnosis_figures import before_after
 from flighttest.report.tables import write_tables
 from tests.widths import drawn, troubles
 
@@ -295,59 +293,6 @@ def test_plain_json_has_no_nan_and_keeps_enum_names():
     json.dumps(data, allow_nan=False)
 
 
-def test_an_interrupted_diagnosis_is_no_good_news():
-    data = {"verdict": "NOTHING_MISSING", "sentence": "Interrupted.", "located": [], "findings": []}
-    assert verdict_tone(data) == "good"
-    assert verdict_tone({**data, "complete": False}) == "warn"
-    shown = Document("diagnosis", "Interrupted.", "warn", diagnosis_sections({**data, "complete": False}))
-    assert "of what was searched before the interruption" in html.page_of(shown)
-
-
-@pytest.mark.parametrize(
-    ("verdict", "said"),
-    [("UNKNOWN_PHYSICS", "explains this mismatch"), ("NOTHING_MISSING", "is needed to explain these recordings")],
-)
-def test_where_something_without_a_name_is_missing_no_page_says_that_nothing_is_needed(verdict, said):
-    data = {"verdict": verdict, "sentence": "Something.", "located": [], "findings": []}
-    shown = html.page_of(Document("diagnosis", "Something.", "warn", diagnosis_sections(data)))
-    assert f"No physics of the catalogue {said}." in shown
-
-
-def test_the_responses_shown_are_those_that_missed_by_most_noise_floors():
-    def flown(channel, error):
-        return {"channel": channel, "segment": f"{channel} {error}", "t_s": [0.0, 1.0], "before": [0.0, 0.0],
-                "after": [error, error], "measured": [error, error]}  # fmt: skip
-
-    data = {
-        "overlays": [flown("roll", e) for e in (3e-3, 2e-3, 1e-3)] + [flown("v_z", e) for e in (0.4, 0.3, 0.1, 0.01)],
-        "noise_floor": {"roll": {"value": 1e-3}, "v_z": {"value": 0.02}},
-        "findings": [{"term": "ground_effect"}],
-    }
-    shown = before_after(data)
-    assert [p.title for p in shown.panels] == [
-        "v_z 0.4",
-        "v_z 0.3",
-        "v_z 0.1",
-        "roll 0.003",
-        "roll 0.002",
-        "roll 0.001",
-    ]
-    assert [t.name for t in shown.panels[0].traces] == ["before", "after", "measured"]
-    clean = before_after({**data, "findings": []})
-    assert [t.name for t in clean.panels[0].traces] == ["simulated", "measured"], (
-        "nothing was left out: one line, not two"
-    )
-
-
-def test_noise_alone_is_pale_in_a_map_of_errors():
-    def top(largest):
-        heat = Trace(["steady"], ["roll"], "noise floors", "other", "heat", z=[[largest]])
-        return figures.specification(Figure("f", (Panel("map", "", "", (heat,)),), "c"))["panels"][0]["data"][0]["zmax"]
-
-    assert top(1.8) == 4.0
-    assert top(9.0) == 9.0
-
-
 def test_a_long_command_keeps_the_indent_of_its_lines_and_goes_on_deeper():
     command = "flighttest twin demo/model.yaml \\\n    --replay demo/spot_check --set battery=-1"
     page = Document("t", "v", "plain", (Section("next", "Next", (Code(command),)),))
@@ -393,31 +338,6 @@ def test_what_is_to_be_copied_stays_whole():
     joined = " ".join(" ".join(lines).replace("\\ ", "").split())
     assert joined.count(run) == 2, "the shell joins what ends in a backslash"
     assert all(len(line) <= 80 for line in lines if path not in line and "y y" not in line)
-
-
-def test_a_picture_comes_before_any_list():
-    """Two sentences and the picture are what a reader sees first; lists and tables follow it."""
-    cells = [
-        {
-            "channel": c,
-            "maneuver": "m",
-            "kind": "roll_step",
-            "phase": "steady",
-            "before_floors": 3.0,
-            "after_floors": 1.0,
-        }
-        for c in ("v_x", "r")
-    ]
-    data = {
-        "located": [
-            {"channel": "v_x", "sentence": "velocity north in roll steps: 1 m/s^2 where repeats differ by 0.1"}
-        ],
-        "residual_map": cells,
-    }
-    blocks = diagnosis_sections(data)[0].blocks
-    assert [type(b) for b in blocks[:2]] == [Figure, Bullets]
-    assert blocks[1].items == ("Velocity north in roll steps: 1 m/s² where repeats differ by 0.1.",)
-    assert list(blocks[0].panels[0].traces[0].y) == ["velocity north", "yaw rate"]
 
 
 def test_the_first_two_sentences_of_the_verdict_are_large():

@@ -19,8 +19,8 @@ import numpy as np
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
-from flighttest.diagnose.free_flight.prediction import held_out_table, predicted_no_better
-from flighttest.diagnose.selection.admissible import EstimatedTerm, outside_prior
+from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
+from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import PROBABILITY, log_odds_asked, probability_of
@@ -122,11 +122,10 @@ def find_terms(
     if set(base.flights) <= declared:
         known.pop(WIND_TERM, None)
     found = EquationSearch(flown, base, base, offered=tuple(known), declared=declared, turned=turned(flown))
-    level = CHANCE / max(len(known), 1)
     try:
-        _wind_first(found, asked, known, level)
-        while len(found.named) < MOST_NAMED and _step(found, asked, known, level, progress):
-            _drop_what_left(found, asked, level)
+        _wind_first(found, asked, known)
+        while len(found.named) < MOST_NAMED and _step(found, asked, known, progress):
+            _drop_what_left(found, asked)
     except KeyboardInterrupt:
         found.complete = False
     if WIND_TERM in found.final.model.terms:
@@ -214,7 +213,7 @@ def _nats(richer: FreeFlight, poorer: FreeFlight) -> float:
     return _score(richer, richer) - _score(poorer, richer)
 
 
-def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], level: float) -> None:
+def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term]) -> None:
     """Wind of every flight against what looks like it at one heading: models with a wind compared with models that have none.
 
     Beside each other neither is significant, since either takes the other's place; their models are told apart by what a wind does
@@ -245,12 +244,17 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
     found.named[WIND_TERM] = NamedByEquations(WIND_TERM, nats, p_value, effect_sizes(asked.streams(calm), streams))
     for one in beside:
         p = wald(tried, known[one])
-        if p >= level:
+        if p >= _level(len(known)):
             continue
         smaller = asked.estimate(tried.model.without_terms(one), _shared(tried.values))
         nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
         if not _against(_Trial(known[one], smaller, tried, nats, p, size), asked, len(known)):
             found.named[one] = NamedByEquations(one, nats, p, size)
+
+
+def _level(candidates: int) -> float:
+    """Of a term's significance: Bonferroni over the candidates."""
+    return CHANCE / max(candidates, 1)
 
 
 def _shared(values: Mapping[str, float]) -> dict[str, float]:
@@ -263,15 +267,13 @@ def _each_and_all(terms: Sequence[str]) -> list[tuple[str, ...]]:
     return [*((t,) for t in terms), *([tuple(terms)] if len(terms) > 1 else [])]
 
 
-def _step(
-    found: EquationSearch, asked: _Asked, known: Mapping[str, Term], level: float, progress: Callable[[str], None]
-) -> bool:
+def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progress: Callable[[str], None]) -> bool:
     """Screen, estimate the most significant terms anew, take the best; False where none is to be taken."""
     now = found.final
     pool = [t for t in known.values() if t.id not in now.model.terms]
     progress("screening the catalogue by equation error")
     found.screened = screen(asked.flown, now, pool)
-    picks = [s for s in found.screened if s.p_value < level][:TRIED]
+    picks = [s for s in found.screened if s.p_value < _level(len(known))][:TRIED]
     estimated: list[tuple[Screened, FreeFlight]] = []
     for s in picks:
         progress(f"estimating with {s.term} by equation error")
@@ -320,7 +322,7 @@ class _Trial:
 
 def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
     """Why a term is not taken; empty where it is."""
-    nats, p_value, level = trial.nats, trial.p_value, CHANCE / max(candidates, 1)
+    nats, p_value, level = trial.nats, trial.p_value, _level(candidates)
     if not np.isfinite(nats) or nats <= 0.0:
         return f"it predicts no better than its parameters cost ({nats:.1f} nats)"
     if (probability := probability_of(nats, candidates)) < PROBABILITY:
@@ -331,13 +333,13 @@ def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
         channel, value = max(trial.size.items(), key=lambda kv: kv[1])
         return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
     found = trial.larger
-    estimates = EstimatedTerm(found.names, found.values, lambda: found.std, asked.flown)
-    return outside_prior(trial.term, estimates, math.sqrt(2.0 * log_odds_asked(candidates))) or predicted_no_better(
-        held_out_table(asked.flown, trial.smaller, found)
-    )
+    estimates = EstimatedModel(found.names, found.values, lambda: found.std, asked.flown)
+    least = math.sqrt(2.0 * log_odds_asked(candidates))
+    held = held_out_table(asked.flown, trial.smaller, found)
+    return outside_prior(trial.term, estimates, least) or against_larger(held)
 
 
-def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:
+def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
     """Terms that are no longer significant beside the newest leave, the newest excepted."""
     known = {t.id: t for t in found.final.model.built_terms}
     for name in list(found.named)[:-1]:

@@ -11,6 +11,7 @@ import numpy as np
 from flighttest.diagnose.block import SEED
 from flighttest.diagnose.model import short
 from flighttest.diagnose.records import HeldOutRow
+from flighttest.diagnose.selection.held_out import worse_in_more
 from flighttest.estimation.equation_error import Whitened, block_rows, whiten
 from flighttest.estimation.linearisation import FloatArray
 from flighttest.identify.free_flight import FreeFlight
@@ -66,16 +67,10 @@ def held_out_table(
     return table
 
 
-def predicted_no_better(table: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
-    """Why a table of `held_out_table` is against the larger model, empty where it is not: more channels are surely predicted worse
-    with it than better."""
+def against_larger(table: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
+    """As of `worse_in_more`, by the intervals of a table of `held_out_table`."""
     gains = [row["all"]["gain_95"] for row in table.values()]
-    worse, better = sum(high < 0.0 for _, high in gains), sum(low > 0.0 for low, _ in gains)
-    return (
-        f"of what was not used, more channels are predicted worse with it than better ({worse} and {better})"
-        if worse > better
-        else ""
-    )
+    return worse_in_more(sum(high < 0.0 for _, high in gains), sum(low > 0.0 for low, _ in gains))
 
 
 def _left_out(flown: Sequence[Segment], one: FreeFlight) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:

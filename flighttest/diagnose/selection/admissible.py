@@ -15,9 +15,9 @@ from flighttest.segments import Segment
 
 
 @dataclass(frozen=True)
-class EstimatedTerm:
-    """Parameters that were estimated. names: which; values: of all; errors: gives their standard errors, asked for only where they decide;
-    segments: that they were estimated from."""
+class EstimatedModel:
+    """A model's parameters. names: those that were estimated; values: of all; errors: gives their standard errors, asked for only where
+    they decide; segments: that they were estimated from."""
 
     names: Sequence[str]
     values: Mapping[str, float]
@@ -29,7 +29,7 @@ class EstimatedTerm:
         return NORMAL_95 * self.errors()[p.name]
 
 
-def outside_prior(term: Term, found: EstimatedTerm, least: float, *, repeated: bool = False) -> str:
+def outside_prior(term: Term, found: EstimatedModel, least: float, *, repeated: bool = False) -> str:
     """Why the estimates of a term are outside its prior: at a bound (where steps were repeated, not at its `natural_bound`; else
     also within their error of a lower one: a time constant that is not distinguished from none has not been seen), on the side
     of the null value that physics does not allow, a limit that nothing in the flights reached. Empty where they are inside.
@@ -71,12 +71,12 @@ def unit_suffix(p: Param) -> str:
     return "" if p.unit == "1" else f" {p.unit}"
 
 
-def _known(p: Param, found: EstimatedTerm) -> bool:
+def _known(p: Param, found: EstimatedModel) -> bool:
     """Whether data separate an estimate from the coefficient's usual value."""
     return abs(found.values[p.name] - p.nominal) > found.half_interval(p)
 
 
-def _by_chance(p: Param, found: EstimatedTerm) -> float:
+def _by_chance(p: Param, found: EstimatedModel) -> float:
     """How far on the wrong side a coefficient may be estimated that is next to nothing."""
     return max(0.1 * abs(usual_size(p)), found.half_interval(p))
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
-from flighttest.diagnose.selection.admissible import EstimatedTerm, outside_prior
+from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
 from flighttest.diagnose.selection.candidates import null_value, redundant
 from flighttest.diagnose.selection.held_out import (
     FEWEST_GROUPS,
@@ -30,6 +30,7 @@ from flighttest.diagnose.selection.held_out import (
     places,
     size_in_floors,
     stratum_gains,
+    worse_in_more,
 )
 from flighttest.estimation.estimator import Estimator, finite
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
@@ -109,9 +110,8 @@ class Evidence:
             return f"its effect is {self.floors:.2g} noise floors, too small to be distinguished from a clean vehicle"
         if not self.improved:
             return "no channel of what was not used is predicted better with it"
-        if len(self.worsened) > len(self.improved):
-            counts = f"{len(self.worsened)} and {len(self.improved)}"
-            return f"of what was not used, more channels are predicted worse with it than better ({counts})"
+        if why := worse_in_more(len(self.worsened), len(self.improved)):
+            return why
         if not self.probability >= PROBABILITY:
             return f"cross-validated evidence of {self.nats:.1f} nats: the probability that it is needed is {self.probability:.2g}"
         return self.nothing
@@ -279,7 +279,7 @@ def inadmissible(
     term: Term, fitted: Fitted, segments: Sequence[Segment], candidates: int, *, repeated: bool = False
 ) -> str:
     """As of `outside_prior`, of a fitted model. candidates: terms of the search."""
-    found = EstimatedTerm(fitted.names, fitted.at.values, lambda: standard_errors(fitted, segments), segments)
+    found = EstimatedModel(fitted.names, fitted.at.values, lambda: standard_errors(fitted, segments), segments)
     return outside_prior(term, found, math.sqrt(2.0 * log_odds_asked(candidates)), repeated=repeated)
 
 

@@ -213,6 +213,16 @@ def held_out_falls(before: PredictionErrors, after: PredictionErrors, groups: In
     return found
 
 
+def worse_in_more(worse: int, better: int) -> str:
+    """Why a name goes with which so many channels of what was not used are surely predicted worse, so many better; empty where it stays."""
+    counts = f"{worse} and {better}"
+    return (
+        f"of what was not used, more channels are predicted worse with it than better ({counts})"
+        if worse > better
+        else ""
+    )
+
+
 @dataclass(frozen=True)
 class HeldOut:
     """One channel before and after, on groups not used: RMSE, floor, and the 95 % interval of the drop in RMSE (bootstrap over groups)."""

@@ -42,10 +42,11 @@ class Targets:
 
     def _own(self, suffix: str) -> list[TargetPart]:
         """The autopilot's own attitude target, NWU/FLU, with the channels' suffix."""
-        angles = self.angles
-        if angles is None or not {"DesRoll", "DesPitch"} <= set(angles[1].raw):
+        if self.angles is None:
             return []
-        name, table, t_s = angles
+        name, table, t_s = self.angles
+        if "DesRoll" not in table or "DesPitch" not in table:
+            return []
         target = np.radians(stack(table, "DesRoll", "DesPitch")) * [1.0, -1.0]
         one = ordered(t_s, {f"roll_{suffix}_rad": target[:, 0], f"pitch_{suffix}_rad": target[:, 1]}, name, [])
         return [(one.t_s, dict(one.columns))]

@@ -187,52 +187,6 @@ heading_rate_reference = Term(
 )  # fmt: skip
 
 
-def _extra_pole(s: Signals, p: Values, x: Values) -> Contribution:
-    tau, share = p["attitude_pole_tau"], p["attitude_pole_share"]
-    rates: dict[str, Expr] = {}
-    targets: dict[str, Expr] = {}
-    for axis, reference, angle, rate in (
-        ("roll", s.roll_ref, s.roll, s.roll_rate),
-        ("pitch", s.pitch_ref, s.pitch, s.pitch_rate),
-    ):
-        filtered = angle + x[f"{axis}_filtered_ahead_rad"]
-        rates[f"{axis}_filtered_ahead_rad"] = (reference - filtered) / tau - rate
-        targets[f"{axis}_ref"] = reference + share * (filtered - reference)
-    return Contribution(targets, rates)
-
-
-attitude_extra_pole = Term(
-    id="attitude_extra_pole",
-    title="A third pole in the attitude loop",
-    family="autopilot",
-    port=Port.REFERENCE,
-    params=(
-        Param(
-            "attitude_pole_share", "b", "1", 1.0, -0.1, 1.0, 0.2, "1: a pure pole; between 0 and 1: a pole and a zero; 0: none",
-            "filters and motors inside the attitude loop: 1; below 0 it would be a rate feedforward", one_sided=True,
-        ),
-        Param(
-            "attitude_pole_tau", "τ_3", "s", 0.04, 0.012, 0.5, 0.02, "time constant of the pole",
-            "rate loop filters and motors: 0.02 to 0.1", "shape", None, (0.03, 0.07, 0.15),
-        ),
-    ),
-    build=_extra_pole,
-    equation="reference <- (1 - b) reference + b x, x_dot = (reference - x) / tau_3",
-    plain="the attitude loop is of more than second order: filters and motors add a pole or a zero",
-    source="ArduPilot rate PID filters, INS_GYRO_FILTER, motor lag",
-    doubt="close to a longer attitude delay (cosine 0.90 after the base refit); tau_3 is a pole of the closed loop: a pure lag within the "
-    "loop has the time constant 1 / (2 zeta omega + 1 / tau_3)",
-    hides_in=("T_d", "zeta_phi", "zeta_theta"),
-    told_apart_by="shape",
-    reveals="roll_pitch",
-    needs=("roll_ref_rad", "roll_rad"),
-    states=(
-        State("roll_filtered_ahead_rad", "rad", "filtered roll reference ahead of roll"),
-        State("pitch_filtered_ahead_rad", "rad", "filtered pitch reference ahead of pitch"),
-    ),
-)  # fmt: skip
-
-
 def _coupling(s: Signals, p: Values, _x: Values) -> Contribution:
     return Contribution(
         {

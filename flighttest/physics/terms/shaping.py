@@ -1,4 +1,4 @@
-"""What the autopilot makes of a reference before its loops follow it: this is no physics of the vehicle."""
+"""What becomes of a reference before loops of second order follow it: this is no physics of the vehicle."""
 
 from __future__ import annotations
 
@@ -9,6 +9,14 @@ from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, St
 # How fast a shaped target's rate catches up with the wanted one where its acceleration allows, s: the autopilot does it in one cycle,
 # the integration steps of a fit are longer.
 _CATCH_UP_S = 0.015
+
+
+def _axes(s: Signals) -> tuple[tuple[str, str, Expr, Expr, Expr], ...]:
+    """Name, index of its parameters, reference, angle and rate of roll and of pitch."""
+    return (
+        ("roll", "phi", s.roll_ref, s.roll, s.roll_rate),
+        ("pitch", "theta", s.pitch_ref, s.pitch, s.pitch_rate),
+    )
 
 
 def _within(x: Expr, limit: Expr) -> Expr:
@@ -28,10 +36,7 @@ def _shaping(s: Signals, p: Values, x: Values) -> Contribution:
     acceleration, tc = p["shaping_accel"], p["shaping_tc"]
     rates: dict[str, Expr] = {}
     targets: dict[str, Expr] = {}
-    for axis, greek, reference, angle, rate in (
-        ("roll", "phi", s.roll_ref, s.roll, s.roll_rate),
-        ("pitch", "theta", s.pitch_ref, s.pitch, s.pitch_rate),
-    ):
+    for axis, greek, reference, angle, rate in _axes(s):
         target = angle + x[f"{axis}_target_ahead_rad"]
         target_rate = x[f"{axis}_target_rate_rad_s"]
         wanted, slope = _square_root(reference - target, 1 / tc, acceleration)
@@ -141,10 +146,7 @@ yaw_rate_shaping = Term(
 def _feedforward(s: Signals, p: Values, x: Values) -> Contribution:
     rates: dict[str, Expr] = {}
     references: dict[str, Expr] = {}
-    for axis, reference, angle, rate in (
-        ("roll", s.roll_ref, s.roll, s.roll_rate),
-        ("pitch", s.pitch_ref, s.pitch, s.pitch_rate),
-    ):
+    for axis, _, reference, angle, rate in _axes(s):
         smoothed = angle + x[f"{axis}_reference_ahead_rad"]
         slope = (reference - smoothed) / _CATCH_UP_S
         rates[f"{axis}_reference_ahead_rad"] = slope - rate
@@ -179,5 +181,48 @@ rate_feedforward = Term(
     states=(
         State("roll_reference_ahead_rad", "rad", "roll reference, smoothed, ahead of roll"),
         State("pitch_reference_ahead_rad", "rad", "pitch reference, smoothed, ahead of pitch"),
+    ),
+)  # fmt: skip
+
+
+def _extra_pole(s: Signals, p: Values, x: Values) -> Contribution:
+    tau, share = p["attitude_pole_tau"], p["attitude_pole_share"]
+    rates: dict[str, Expr] = {}
+    targets: dict[str, Expr] = {}
+    for axis, _, reference, angle, rate in _axes(s):
+        filtered = angle + x[f"{axis}_filtered_ahead_rad"]
+        rates[f"{axis}_filtered_ahead_rad"] = (reference - filtered) / tau - rate
+        targets[f"{axis}_ref"] = reference + share * (filtered - reference)
+    return Contribution(targets, rates)
+
+
+attitude_extra_pole = Term(
+    id="attitude_extra_pole",
+    title="A third pole in the attitude loop",
+    family="autopilot",
+    port=Port.REFERENCE,
+    params=(
+        Param(
+            "attitude_pole_share", "b", "1", 1.0, -0.1, 1.0, 0.2, "1: a pure pole; between 0 and 1: a pole and a zero; 0: none",
+            "filters and motors inside the attitude loop: 1; below 0 it would be a rate feedforward", one_sided=True,
+        ),
+        Param(
+            "attitude_pole_tau", "τ_3", "s", 0.04, 0.012, 0.5, 0.02, "time constant of the pole",
+            "rate loop filters and motors: 0.02 to 0.1", "shape", None, (0.03, 0.07, 0.15),
+        ),
+    ),
+    build=_extra_pole,
+    equation="reference <- (1 - b) reference + b x, x_dot = (reference - x) / tau_3",
+    plain="the attitude loop is of more than second order: filters and motors add a pole or a zero",
+    source="ArduPilot rate PID filters, INS_GYRO_FILTER, motor lag",
+    doubt="close to a longer attitude delay (cosine 0.90 after the base refit); tau_3 is a pole of the closed loop: a pure lag within the "
+    "loop has the time constant 1 / (2 zeta omega + 1 / tau_3)",
+    hides_in=("T_d", "zeta_phi", "zeta_theta"),
+    told_apart_by="shape",
+    reveals="roll_pitch",
+    needs=("roll_ref_rad", "roll_rad"),
+    states=(
+        State("roll_filtered_ahead_rad", "rad", "filtered roll reference ahead of roll"),
+        State("pitch_filtered_ahead_rad", "rad", "filtered pitch reference ahead of pitch"),
     ),
 )  # fmt: skip
