@@ -254,6 +254,13 @@ def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound(rng):
     assert "bound" in judged("attitude_extra_pole", model, values | {"attitude_pole_share": -2.0}, columns, rng)
 
 
+def test_a_pole_that_would_lead_is_none():
+    """On a pilot's log it went to -2, its bound then, for a rate feedforward, which was refused beside it."""
+    model = Model(("linear_drag", "attitude_extra_pole"))
+    values = {"attitude_pole_share": -0.08, "attitude_pole_tau": 0.05}
+    assert "physics does not allow" in judged("attitude_extra_pole", model, values)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_a_share_may_be_nothing_and_all(share):
     """Of a log of ArduPilot's own simulator the share of the lean angle went to -1, its bound, then, and the boost was refused with 154

@@ -71,6 +71,13 @@ def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monke
     assert found.refused["attitude_offset"][1] == "it cannot be"
 
 
+def test_of_a_differentiated_velocity_means_are_held_out_whose_noise_is_that_of_their_ends():
+    """0.03 m/s at either end of half a second; single samples would have 2 m/s^2 of noise, in which no name is better or worse."""
+    found = find_terms(stretches(flight(120.0, 26, gust=0.0, accelerometer=False, run="still")), ALONE, ())
+    held = held_out_table(found.flown, found.base, found.base)
+    assert held["a_y"]["all"]["rmse_before"] == pytest.approx(np.sqrt(2.0) * 0.03 / 0.5, rel=0.25)
+
+
 @pytest.mark.parametrize(
     ("gains", "against"),
     [
