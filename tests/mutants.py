@@ -38,7 +38,7 @@ SELECTION = tuple(
     for part in ("search", "proposals", "subsets", "comparison", "absence", "parts", "discrepancy", "findings")
 )
 CONSTANTS: dict[str, tuple[str, ...]] = {
-    "diagnose/selection/search.py": SELECTION,
+    "diagnose/selection/fitted_models.py": SELECTION,
     "diagnose/selection/aliases.py": SELECTION,
     "diagnose/selection/proposals.py": SELECTION,
     "diagnose/selection/subsets.py": SELECTION,
@@ -64,7 +64,6 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
 # Of these a factor of two changes the time taken, a resolution far below what matters, or a picture, and no answer.
 NO_DECISION = {
     "diagnose/selection/subsets.py": ("CHUNK", "LARGEST", "SETTINGS"),
-    "diagnose/selection/search.py": ("MOST_ROUNDS",),
     "diagnose/selection/held_out.py": ("BOOTSTRAPS", "FOLDS", "RIDGE"),
     "diagnose/selection/detectability.py": ("NEVER",),
     "diagnose/residuals/lack_of_fit.py": ("BIN_S",),

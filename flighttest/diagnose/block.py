@@ -29,6 +29,7 @@ from flighttest.diagnose.residuals.mismatch import step_errors
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.baselines import baselines
 from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
+from flighttest.diagnose.selection.fitted_models import FittedModels
 from flighttest.diagnose.selection.held_out import HeldOut, excess, gains_held_out, horizon_rmse
 from flighttest.diagnose.selection.proposals import LEAST_PREDICTED
 from flighttest.diagnose.selection.search import Search, silent
@@ -107,9 +108,8 @@ def answer(block: str, asked: Asked) -> BlockAnswer:
     inactive = frozenset({COUPLING}) if block == "roll_pitch" and COUPLING not in model.terms else frozenset()
     pool = tuple(t for t in asked.pool if _acts(t, estimator, own) and not missing_channels(t, asked.segments))
     origin = start_values(asked.segments, model, onset_delay(asked.segments))
-    search = Search(
-        estimator, pool, asked.groups, inactive, origin, progress=lambda text: asked.tell(f"{block}: {text}")
-    )
+    models = FittedModels(estimator, pool, inactive, origin)
+    search = Search(models, asked.groups, lambda text: asked.tell(f"{block}: {text}"))
     try:
         begun = estimator.start(own, asked.base.values)
         # Of a channel that the base could not be fitted to (a pitch that nothing moved) the usual noise.

@@ -8,6 +8,7 @@ from made_rows import evidence, rows_of
 
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
 from flighttest.diagnose.selection.comparison import Fitted
+from flighttest.diagnose.selection.fitted_models import FittedModels
 from flighttest.diagnose.selection.search import Search
 
 
@@ -27,14 +28,8 @@ def judged(monkeypatch):
             for one in (before, after)
         )
         floor = NoiseFloor(dict(zip(base.rows.channels, floors, strict=True)), frozenset(), {})
-        search = Search(
-            SimpleNamespace(segments=()),
-            (SimpleNamespace(id="a"),),
-            np.arange(20) % groups,
-            base=base,
-            now=now,
-            floor=floor,
-        )
+        models = FittedModels(SimpleNamespace(segments=()), (SimpleNamespace(id="a"),), base=base)
+        search = Search(models, np.arange(20) % groups, now=now, floor=floor)
         search.evidence = {"a": evidence("a")}
         search.judge_as_a_whole()
         assert search.now is (now if search.evidence else base)

@@ -52,7 +52,7 @@ def aliases_of(search: Search, term: str) -> tuple[Alias, ...]:
         if cosine > ALIASED and name not in search.rejected:
             search.progress(f"trying {name} in place of {term}")
             scored = Scored((j,), 0.0, np.zeros(search.candidates[j].columns.shape[1]))
-            other = search.refitted(without, [search.candidates[j]], scored)
+            other = search.models.with_candidates(without, [search.candidates[j]], scored)
             if other.finite and not inadmissible(
                 search.terms[name], other, search.estimator.segments, len(search.pool)
             ):

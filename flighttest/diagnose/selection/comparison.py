@@ -41,7 +41,6 @@ from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
 PROBABILITY = 0.99  # a name is given above it; reliability is measured on the frozen bench (docs/proof.md)
-LEVEL = 0.05  # of the likelihood ratio test of a term, that of the intervals printed beside its name
 LEAST_FLOORS = 0.7  # noise floors: half their power. Below it a vehicle counts as clean (design of the sealed trials)
 
 
@@ -102,12 +101,18 @@ class Evidence:
     withdrawn: str = ""
 
     @property
+    def nameless(self) -> str:
+        """Why it has no name however much it explains, empty where it may have one: its estimates, or its size."""
+        if self.inadmissible or self.floors >= LEAST_FLOORS:
+            return self.inadmissible
+        # Nor where it is not a number.
+        return f"its effect is {self.floors:.2g} noise floors, too small to be distinguished from a clean vehicle"
+
+    @property
     def why_not(self) -> str:
         """Why it is not named, empty where it is."""
-        if self.withdrawn or self.inadmissible:
-            return self.withdrawn or self.inadmissible
-        if not self.floors >= LEAST_FLOORS:  # nor where it is not a number
-            return f"its effect is {self.floors:.2g} noise floors, too small to be distinguished from a clean vehicle"
+        if why := self.withdrawn or self.nameless:
+            return why
         if not self.improved:
             return "no channel of what was not used is predicted better with it"
         if why := worse_in_more(len(self.worsened), len(self.improved)):
@@ -120,6 +125,11 @@ class Evidence:
 def probability_of(nats: float, candidates: int) -> float:
     """Posterior probability of a term from its log evidence; prior odds one to the number of candidates."""
     return 1.0 / (1.0 + math.exp(-min(max(nats - math.log(max(candidates, 1)), -700.0), 700.0)))
+
+
+def level_of(candidates: int) -> float:
+    """p-value below which a term is significant: 1 - `PROBABILITY` for all candidates of a search together (Bonferroni)."""
+    return (1.0 - PROBABILITY) / max(candidates, 1)
 
 
 def weights_of(
