@@ -70,30 +70,35 @@ class Autoregression:
 
 
 def autoregression(stretches: Sequence[FloatArray], most: int = MOST_LAGS) -> Autoregression:
-    """Of a residual, by Levinson's recursion on its autocovariance; order by Akaike's criterion (Luetkepohl 2005, section 4.3)."""
+    """Of a residual, by Burg's recursion over all stretches; order by Akaike's criterion (Luetkepohl 2005, section 4.3).
+
+    Burg's reflection coefficients, unlike those of the autocovariance (Yule and Walker), hold where a spectrum falls by several decades
+    below the sampling frequency, as that of an attitude does (de Hoon et al., IEEE Trans. Signal Processing 44, 1996).
+    """
     usable = [s for s in stretches if s.size > LEAST_STRETCH]
     total = sum(s.size for s in usable)
     if not total:
         return Autoregression(np.ones(1), 1.0)
     most = max(min(most, max(s.size for s in usable) // LEAST_STRETCH, total // 10), 0)
-    covariance = np.array(
-        [sum(float(s[lag:] @ s[: s.size - lag]) for s in usable if s.size > lag) for lag in range(most + 1)]
-    )
-    covariance /= total
-    if not covariance[0] > LEAST_STD**2:
+    variance = power = sum(float(s @ s) for s in usable) / total
+    if not variance > LEAST_STD**2:
         return Autoregression(np.ones(1), LEAST_STD)
-    a, power = np.ones(1), float(covariance[0])
+    forward, backward = [s[1:] for s in usable], [s[:-1] for s in usable]
+    a = np.ones(1)
     best, least = (a, power), total * np.log(power)
     for order in range(1, most + 1):
-        reflection = -float(a @ covariance[order - np.arange(order)]) / power
+        product = sum(float(f @ b) for f, b in zip(forward, backward, strict=True))
+        reflection = -2.0 * product / sum(float(f @ f + b @ b) for f, b in zip(forward, backward, strict=True))
         a = np.append(a, 0.0)
         a = a + reflection * a[::-1]
         power *= 1.0 - reflection**2
-        if power <= 1e-12 * covariance[0]:
+        if power <= 1e-12 * variance:
             break
         criterion = total * np.log(power) + 2.0 * order
         if criterion < least:
             best, least = (a, power), criterion
+        pairs = [(f + reflection * b, b + reflection * f) for f, b in zip(forward, backward, strict=True)]
+        forward, backward = [f[1:] for f, _ in pairs], [b[:-1] for _, b in pairs]
     return Autoregression(best[0], max(float(np.sqrt(best[1])), LEAST_STD))
 
 
@@ -153,10 +158,12 @@ def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per
 
 def log_scale(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> float:
     """Minus the log likelihood of the innovations less half their whitened sum of squares, but for a constant: n log std of every stream of
-    n samples. The samples that only start a filter count as innovations of their expected square, 1: noise models of different orders
-    would else be compared on different samples."""
+    n samples; and one for every coefficient of the noise (Akaike 1974), since a noise of many imitates what a model lacks. The samples that
+    only start a filter count as innovations of their expected square, 1: noise models of different orders would else be compared on
+    different samples."""
     known = [(s.residual.size, noise[s.channel]) for s in streams]
-    return float(sum(size * np.log(ar.std) + 0.5 * ar.order for size, ar in known))
+    coefficients = sum(noise[c].order for c in {s.channel for s in streams})
+    return float(sum(size * np.log(ar.std) + 0.5 * ar.order for size, ar in known)) + coefficients
 
 
 @dataclass(frozen=True)
@@ -218,24 +225,37 @@ def _standardised(values: FloatArray) -> FloatArray:
     return np.asarray(off / np.maximum(np.std(off, axis=0), 1e-12))
 
 
-def lack_of_fit(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> dict[str, float]:
-    """Channel to the lack-of-fit ratio F of its equation, at least 1: mean square of the innovations that second-order functions of the
-    state explain in each stretch beside the parameters, over that of the innovations, 1 (Draper and Smith 1998, section 2.1; functions of
-    the state take the place of repeats, as in Ramsey's test, 1969).
+@dataclass(frozen=True)
+class LackOfFit:
+    """ratio: F, mean square of the innovations that second-order functions of the state explain beside the parameters, over that of the
+    innovations, 1; at least 1. along: (q, q) squares and products of that part of the parameters' whitened columns which such functions
+    are."""
 
-    What the equations get wrong recurs with the state and a gust does not. Where F is above 1, the parameters' own columns, functions of
-    the state as well, err by as much: their variance is F times that of the innovations (Birge 1932).
+    ratio: float
+    along: FloatArray
+
+
+def lack_of_fit(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> dict[str, LackOfFit]:
+    """Channel to the lack of fit of its equation (Draper and Smith 1998, section 2.1; functions of the state take the place of repeats, as
+    in Ramsey's test, 1969).
+
+    What the equations get wrong recurs with the state and a gust does not. Where F is above 1, that part of the parameters' own columns
+    which functions of the state are errs by as much: its variance is F times that of the innovations (Birge 1932).
     """
+    width = streams[0].columns.shape[1] if streams else 0
     square, count = dict.fromkeys(noise, 0.0), dict.fromkeys(noise, 0)
+    along = {c: np.zeros((width, width)) for c in noise}
     for s in streams:
         ar = noise[s.channel]
-        more = ar.whitened(second_order(s.state))
-        beside = orthonormal(ar.whitened(s.columns))
+        more, columns = ar.whitened(second_order(s.state)), ar.whitened(s.columns)
+        beside = orthonormal(columns)
         left = more - beside @ (beside.T @ more)
         own = orthonormal(left[:, np.sum(left**2, axis=0) > SHARED * np.sum(more**2, axis=0)])
         square[s.channel] += float(np.sum((own.T @ ar.whitened(s.residual)) ** 2))
         count[s.channel] += own.shape[1]
-    return {c: max(square[c] / max(count[c], 1), 1.0) for c in noise}
+        part = orthonormal(more).T @ columns
+        along[s.channel] += part.T @ part
+    return {c: LackOfFit(max(square[c] / max(count[c], 1), 1.0), along[c]) for c in noise}
 
 
 def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray) -> tuple[FloatArray, FloatArray]:

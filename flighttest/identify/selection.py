@@ -21,6 +21,7 @@ LEVEL_STEPS = ("throttle_step", "yaw_rate_step")
 STEP_KIND = {"roll": "roll_step", "pitch": "pitch_step", "yaw": "yaw_rate_step"}
 ATTITUDE_STEP_MAX_RAD = 0.35  # larger steps may saturate the rate: the paper's Pi_1 uses 0.2 and 0.3 rad
 FEW_STEPS = 6  # fewer steps than this of a block, beside free flight, are no campaign
+LEAST_CHANGE = 0.02  # of a reference that moves: rad, rad/s or throttle
 DRAG_STEP_MIN_RAD = 0.25  # the paper's Pi_4 uses 0.3 and 0.5 rad
 
 
@@ -88,7 +89,12 @@ def _can_feed(segment: Segment, block: Block) -> bool:
 
 def moves(segment: Segment, block: Block) -> bool:
     """Whether any reference of a block changes in a segment."""
-    return any(_change(segment, n) > 0.02 for n in block.inputs)
+    return any(_change(segment, n) > LEAST_CHANGE for n in block.inputs)
+
+
+def changes(segments: Sequence[Segment], reference: str) -> bool:
+    """Whether a reference changes in any of these segments."""
+    return any(_change(s, reference) > LEAST_CHANGE for s in segments)
 
 
 def _amplitude(segment: Segment) -> float:

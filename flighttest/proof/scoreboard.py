@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from flighttest.identify.winds import WIND_TERM
+from flighttest.identify.free_flight.winds import WIND_TERM
 from flighttest.proof.outcome import BASE, Outcome
 from flighttest.proof.records import (
     Calibration,

@@ -113,6 +113,11 @@ class Segment:
         return not self.flaws
 
     @property
+    def steered(self) -> bool:
+        """Whether a pilot or another controller flew what this was cut from, instead of a script that asked for steps."""
+        return self.kind == "free" or self.context.by_hand
+
+    @property
     def between_steps(self) -> bool:
         """Whether it is a window between steps, in which the vehicle is brought back: no flight that anybody meant to be looked at."""
         return self.context.between_steps

@@ -40,10 +40,17 @@ def test_where_nothing_is_missing_no_term_stands_out():
 
 
 def test_every_term_of_the_translation_is_looked_at():
-    seen = {t.id for t in POOL if seen_by_equations(t)}
+    seen = {t.id for t in POOL if seen_by_equations(t, Model(), "translation")}
     assert {"quadratic_drag", "slung_payload", "velocity_latency", "motor_saturation", "thrust_extra_lag"} <= seen
     assert "rate_limit" not in seen
     assert {"slung_payload", "motor_saturation", "thrust_extra_lag"} <= set(screened(0.0))
+
+
+def test_terms_of_the_loops_are_looked_at_where_they_act():
+    roll, yaw = ({t.id for t in POOL if seen_by_equations(t, Model(), part)} for part in ("roll_pitch", "yaw"))
+    assert {"airflow_moment", "rate_limit", "rate_feedforward", "roll_pitch_coupling", "turn_axes"} <= roll
+    assert {"heading_hold", "heading_rate_reference", "yaw_rate_shaping"} <= yaw
+    assert "quadratic_drag" not in roll | yaw
 
 
 def late(seconds, seed, samples):

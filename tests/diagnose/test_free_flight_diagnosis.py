@@ -8,13 +8,13 @@ import pytest
 
 from flighttest.diagnose import Verdict
 from flighttest.diagnose.conclusion import sentence_of
-from flighttest.diagnose.free_flight import diagnose_free_flight, equation_search, is_free_flight
+from flighttest.diagnose.free_flight import diagnose_free_flight, equation_search
 from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
 from flighttest.diagnose.model import Rival, TermVerdict
-from flighttest.identify.free_flight import stretches
+from flighttest.identify.free_flight import is_free_flight, stretches
+from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, in_still_air
 from flighttest.identify.models import model_file
-from flighttest.identify.winds import FlightWind, WindVerdict, in_still_air
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.pipeline.diagnosis.diagnose import looked_for

@@ -8,9 +8,10 @@ import pytest
 
 from flighttest.errors import FitError
 from flighttest.frames import rotation_from_euler
-from flighttest.identify.free_flight import estimate, mixture, stretches
-from flighttest.identify.motion_equations import predicted
-from flighttest.identify.winds import FlightWind, WindVerdict, any_wind, headings_of, winds, winds_of
+from flighttest.identify.free_flight import estimate, stretches
+from flighttest.identify.free_flight.estimate import mixture
+from flighttest.identify.free_flight.translation import predicted
+from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, any_wind, headings_of, winds, winds_of
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 

@@ -9,7 +9,7 @@ import pytest
 from flighttest.errors import FitError
 from flighttest.estimation.problem import PartEvaluation, Problem
 from flighttest.estimation.solver import FitStatus, solve
-from flighttest.estimation.uncertainty.closed_loop import closed_loop_bias, steered
+from flighttest.estimation.uncertainty.closed_loop import closed_loop_bias
 from flighttest.estimation.uncertainty.covariance import covariance_of, std_of
 from flighttest.identify.diagnostics import local_optima as optima
 from flighttest.identify.fit import fit
@@ -119,11 +119,11 @@ def test_under_a_height_loop_in_gusts_vertical_drag_is_not_called_known():
 
 def test_steps_of_a_script_are_not_asked_about_answers():
     step = Segment("s", "run", "throttle_step", {}, 0, 0.0, np.arange(5.0), {}, {})
-    assert not steered(step)
+    assert not step.steered
     by_hand = Segment(
         "s", "run", "throttle_step", {}, 0, 0.0, np.arange(5.0), {}, {}, context=SegmentContext(by_hand=True)
     )
-    assert steered(by_hand)
+    assert by_hand.steered
 
 
 def blown_up(beyond: float) -> Callable[..., list[PartEvaluation]]:

@@ -1,5 +1,5 @@
-"""Diagnosis of free flight alone: translation by equation error, attitude loops by output error on part of the windows."""
+"""Diagnosis of free flight alone, by the prediction errors of each part of the model."""
 
-from flighttest.diagnose.free_flight.assembly import diagnose_free_flight, is_free_flight
+from flighttest.diagnose.free_flight.assembly import diagnose_free_flight
 
-__all__ = ["diagnose_free_flight", "is_free_flight"]
+__all__ = ["diagnose_free_flight"]

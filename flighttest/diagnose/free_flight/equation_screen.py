@@ -1,4 +1,4 @@
-"""Score tests of the catalogue on free flight by equation error: every linear coefficient of the translation in a few passes.
+"""Score tests of the catalogue on free flight by prediction errors: every linear coefficient of a part of the model in a few passes.
 
 At the optimum of the base model the whitened equations are linear in a candidate's coefficients. Its columns beside the base's give
 the score test (Rao 1948) with a covariance by blocks of 1 to 5 s, so that a spectrum that the noise model missed does not name a term.
@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 from flighttest.diagnose.selection.candidates import grid, null_value
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.estimation.equation_error import Stream, Whitened, block_rows, whiten
+from flighttest.estimation.estimator import part_of
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.free_flight import FreeFlight
-from flighttest.identify.motion_equations import LATENCY, Equations
+from flighttest.identify.free_flight.equations import Equations
+from flighttest.identify.free_flight.translation import LATENCY
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
+from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +36,7 @@ FEWEST_BLOCKS = 8  # beside the parameters: below, a covariance by blocks is non
 @dataclass(frozen=True)
 class Screened:
     """A candidate's score test. shape: its nonlinear parameters; coefficients: one-step estimates by name, from their null values; p_value;
-    size: root mean square of its effect beside the base model, m/s^2; std: of the coefficients, by blocks; nats: of log likelihood that
+    size: root mean square of its effect beside the base model, SI units; std: of the coefficients, by blocks; nats: of log likelihood that
     one step gains."""
 
     term: str
@@ -45,9 +48,13 @@ class Screened:
     nats: float = 0.0
 
 
-def seen_by_equations(term: Term) -> bool:
-    """Whether a term acts in the translation."""
-    return block_of(term) == "translation"
+def seen_by_equations(term: Term, model: Model, part: str) -> bool:
+    """Whether a term acts in a part of a model (`estimation.estimator.BLOCKS`)."""
+    if part == "translation" or block_of(term) == "translation":
+        return block_of(term) == part
+    tried = model if term.id in model.terms else model.with_terms(term)
+    known = {name for b in tried.blocks if part_of(b.name) == part for name in b.params}
+    return any(p.name in known for p in term.params)
 
 
 def settings(term: Term, flown: Sequence[Segment]) -> list[dict[str, float]]:
@@ -74,10 +81,11 @@ def screen(flown: Sequence[Segment], base: FreeFlight, pool: Sequence[Term]) -> 
     terms = [
         t
         for t in pool
-        if seen_by_equations(t) and t.id not in base.model.terms and not missing_channels(t, tuple(flown))
+        if seen_by_equations(t, base.model, base.part)
+        and t.id not in base.model.terms
+        and not missing_channels(t, tuple(flown))
     ]
-    period = float(np.median(np.concatenate([np.diff(s.t_s) for s in flown])))
-    rows = block_rows(sum(float(np.ptp(s.t_s)) for s in flown), period)
+    rows = block_rows(sum(float(np.ptp(s.t_s)) for s in flown), base.period_s)
     linear = [t for t in terms if t.amplitudes]
     # A state of unknown start needs a long lead (`motion_equations`), which the others are not to pay for.
     alone = [t for t in linear if any(s.free for s in t.states) and t.id != LATENCY]
@@ -102,7 +110,7 @@ def _names(base: FreeFlight) -> tuple[list[str], tuple[str, ...]]:
 def _linear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term], rows: int) -> Iterator[Screened]:
     """Score tests of terms with linear coefficients, which at their null values do not change each other: one Jacobian for a setting of
     all."""
-    equations = Equations(base.model.with_terms(*terms), flown)
+    equations = Equations(base.model.with_terms(*terms), flown, base.part)
     names, own_of_flights = _names(base)
     grids = {t.id: settings(t, flown) for t in terms}
     for k in range(max(len(g) for g in grids.values())):
@@ -131,10 +139,10 @@ def _nonlinear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term]
         return
     names, own_of_flights = _names(base)
     with np.errstate(all="ignore"):
-        plain, columns = Equations(base.model, flown).streams(base.values, names, own_of_flights)
+        plain, columns = Equations(base.model, flown, base.part).streams(base.values, names, own_of_flights)
     others = [columns.index(n) for n in base.names]
     for t in terms:
-        equations = Equations(base.model.with_terms(t), flown)
+        equations = Equations(base.model.with_terms(t), flown, base.part)
         for setting in settings(t, flown):
             values = {**equations.model.start(), **base.values, **setting}
             with np.errstate(all="ignore"):

@@ -1,4 +1,5 @@
-"""Which terms of the catalogue free flight needs, by equation error: forward selection with backward elimination, one wind per flight.
+"""Which terms of the catalogue a part of free flight needs, by its prediction errors: forward selection with backward elimination, one
+wind per flight.
 
 Each step screens every term (`equation_screen`), estimates the most significant ones anew beside all other parameters, and takes the
 one with the largest quasi-likelihood: log likelihood of the innovations divided by the variance inflation that the robust covariance
@@ -23,18 +24,18 @@ from flighttest.diagnose.free_flight.prediction import against_larger, held_out_
 from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
-from flighttest.diagnose.selection.comparison import PROBABILITY, log_odds_asked, probability_of
+from flighttest.diagnose.selection.comparison import PROBABILITY, level_of, log_odds_asked, probability_of
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.errors import FitError
 from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.uncertainty.distributions import chi2_beyond, fisher_beyond
-from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight import FreeFlight, estimate
-from flighttest.identify.motion_equations import LATENCY, Equations
-from flighttest.identify.winds import (
+from flighttest.identify.free_flight.equations import Equations
+from flighttest.identify.free_flight.estimate import determined
+from flighttest.identify.free_flight.translation import LATENCY
+from flighttest.identify.free_flight.winds import (
     BESIDE_WIND,
-    CHANCE,
     WIND,
     WIND_TERM,
     FlightWind,
@@ -49,7 +50,9 @@ from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
+PART_IN_WORDS = {"translation": "translation", "roll_pitch": "roll and pitch loops", "yaw": "yaw rate loop"}
 TRIED = 4  # of the most significant terms are estimated anew in each step
+MOST_STARTS = 2  # settings of a term's nonlinear parameters that it is estimated from: of a trim by integrators, that of none, too
 MOST_NAMED = 5
 OFFSET_TERM = "attitude_offset"
 NOT_BESIDE = "no wind is seen beside what looks like one at a single heading"
@@ -104,19 +107,21 @@ def find_terms(
     model: Model,
     pool: Sequence[Term],
     *,
+    part: str = "translation",
     weather: Mapping[str, str] | None = None,
     start: Mapping[str, float] | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> EquationSearch:
     """Search the terms of `pool` on stretches of free flight (`identify.free_flight.stretches`).
 
-    weather: flight to 'still', a prior for its wind. FitError where no stretch can be estimated from.
+    part: of the model (`estimation.estimator.BLOCKS`); weather: flight to 'still', a prior for its wind. FitError where no stretch can be
+    estimated from.
     """
     declared, priors = still_air(weather)
-    asked = _Asked(flown, priors, not voltage_varies(flown, model.nominal_voltage_v))
-    progress("estimating the base model by equation error")
+    asked = _Asked(flown, part, priors)
+    progress(f"estimating the base model of the {PART_IN_WORDS[part]}")
     base = asked.estimate(model, {k: v for k, v in (start or {}).items() if k in model.names})
-    known = {t.id: t for t in pool if seen_by_equations(t) and not missing_channels(t, tuple(flown))}
+    known = {t.id: t for t in pool if seen_by_equations(t, model, part) and not missing_channels(t, tuple(flown))}
     if any(np.isfinite(s.y.get("f_x_m_s2", np.nan)).any() for s in flown):
         known.pop(LATENCY, None)  # an accelerometer shows forces without the velocity
     if set(base.flights) <= declared:
@@ -138,20 +143,18 @@ def find_terms(
 @dataclass(frozen=True)
 class _Asked:
     flown: Sequence[Segment]
+    part: str
     priors: Mapping[str, tuple[float, float]]
-    no_voltage: bool
 
     def estimate(self, model: Model, start: Mapping[str, float]) -> FreeFlight:
-        held = {"w_up"} | ({"alpha"} if self.no_voltage else set())
-        free = [n for n in model.names if n not in held]
-        own = WIND if WIND_TERM in model.terms else ()
-        return estimate(self.flown, model, start=start, free=free, per_flight=own, priors=self.priors)
+        free, own = determined(self.flown, model), WIND if WIND_TERM in model.terms else ()
+        return estimate(self.flown, model, part=self.part, start=start, free=free, per_flight=own, priors=self.priors)
 
     def streams(self, found: FreeFlight) -> list[Stream]:
         names = list(dict.fromkeys(n.split("@")[0] for n in found.names))
         own = tuple(n for n in names if n not in found.names)
         with np.errstate(all="ignore"):
-            return Equations(found.model, self.flown).streams(found.values, names, own)[0]
+            return Equations(found.model, self.flown, self.part).streams(found.values, names, own)[0]
 
 
 def coefficients_of(found: FreeFlight, term: Term) -> list[int]:
@@ -193,6 +196,14 @@ def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str,
     return {c: float(np.sqrt(total / max(count, 1.0))) for c, (total, count) in squares.items()}
 
 
+def _nats_of(term: Term, richer: FreeFlight, poorer: FreeFlight) -> float:
+    """Quasi-log-likelihood that a term gains, by the variance inflation of its own parameters, less their penalty."""
+    own = {p.name for p in term.params}
+    at = [i for i, n in enumerate(richer.names) if n.split("@")[0] in own]
+    penalty = 0.5 * (len(richer.names) - len(poorer.names)) * float(np.log(max(richer.blocks, 2)))
+    return (richer.log_likelihood - poorer.log_likelihood) / richer.inflation_of(at) - penalty
+
+
 def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, flown: Sequence[Segment]) -> float:
     """p-value of a term: of its linear coefficients (`wald`); where it has none, of the quasi-likelihood ratio times the number of settings
     that the best was chosen from (Bonferroni), since a nonlinear parameter means nothing where its term is not (Davies 1977)."""
@@ -206,11 +217,6 @@ def _score(found: FreeFlight, richest: FreeFlight) -> float:
     """Quasi-log-likelihood less the penalty of the parameters, with the variance inflation of the richest model compared."""
     penalty = 0.5 * len(found.names) * float(np.log(max(richest.blocks, 2)))
     return found.log_likelihood / richest.inflation - penalty
-
-
-def _nats(richer: FreeFlight, poorer: FreeFlight) -> float:
-    """What `richer` gains in it."""
-    return _score(richer, richer) - _score(poorer, richer)
 
 
 def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term]) -> None:
@@ -244,17 +250,12 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term])
     found.named[WIND_TERM] = NamedByEquations(WIND_TERM, nats, p_value, effect_sizes(asked.streams(calm), streams))
     for one in beside:
         p = wald(tried, known[one])
-        if p >= _level(len(known)):
+        if p >= level_of(len(known)):
             continue
         smaller = asked.estimate(tried.model.without_terms(one), _shared(tried.values))
-        nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
+        nats, size = _nats_of(known[one], tried, smaller), effect_sizes(asked.streams(smaller), streams)
         if not _against(_Trial(known[one], smaller, tried, nats, p, size), asked, len(known)):
             found.named[one] = NamedByEquations(one, nats, p, size)
-
-
-def _level(candidates: int) -> float:
-    """Of a term's significance: Bonferroni over the candidates."""
-    return CHANCE / max(candidates, 1)
 
 
 def _shared(values: Mapping[str, float]) -> dict[str, float]:
@@ -271,14 +272,19 @@ def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progr
     """Screen, estimate the most significant terms anew, take the best; False where none is to be taken."""
     now = found.final
     pool = [t for t in known.values() if t.id not in now.model.terms]
-    progress("screening the catalogue by equation error")
+    progress(f"{PART_IN_WORDS[asked.part]}: screening the catalogue")
     found.screened = screen(asked.flown, now, pool)
-    picks = [s for s in found.screened if s.p_value < _level(len(known))][:TRIED]
+    # Blocks that hold a large effect vary with it, and the noise holds it, too: the score test says little of such a one.
+    level, odds = level_of(len(known)), log_odds_asked(len(known))
+    picks = [s for s in found.screened if s.p_value < level or s.nats > odds][:TRIED]
     estimated: list[tuple[Screened, FreeFlight]] = []
     for s in picks:
-        progress(f"estimating with {s.term} by equation error")
+        progress(f"{PART_IN_WORDS[asked.part]}: estimating with {s.term}")
+        shapes = [s.shape, *(one for one in settings(known[s.term], asked.flown) if one != s.shape)][:MOST_STARTS]
+        model = now.model.with_terms(s.term)
         try:
-            estimated.append((s, asked.estimate(now.model.with_terms(s.term), {**now.values, **s.shape})))
+            reached = [asked.estimate(model, {**now.values, **shape}) for shape in shapes]
+            estimated.append((s, max(reached, key=lambda one: one.log_likelihood)))
         except FitError as problem:
             found.refused[s.term] = (-np.inf, str(problem))
     # One inflation for all that are compared, that of the likeliest: by its own, a worse model of more noise would gain less.
@@ -290,17 +296,18 @@ def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progr
         term = known[s.term]
         size, p_value = effect_sizes(before, asked.streams(one)), significance(one, now, term, asked.flown)
         # Alone it takes up whatever tilts the vehicle: a wind is named beside what looks like it (`_wind_first`), or not at all.
-        trial = _Trial(term, now, one, nats, p_value, size)
+        gained = _nats_of(term, one, now)
+        trial = _Trial(term, now, one, gained, p_value, size)
         why = NOT_BESIDE if s.term == WIND_TERM else _against(trial, asked, len(known))
         if why:
             if s.term != WIND_TERM or WIND_TERM not in found.refused:  # what `_wind_first` found says more
-                found.refused[s.term] = (nats, why)
+                found.refused[s.term] = (gained, why)
             continue
         rivals = tuple(
             r.term for n, r, _ in tried if r is not s and nats - n < CHANCE_NATS and (n <= nats or r.term == WIND_TERM)
         )
         found.final = one
-        found.named[s.term] = NamedByEquations(s.term, nats, p_value, size, rivals)
+        found.named[s.term] = NamedByEquations(s.term, gained, p_value, size, rivals)
         found.refused.pop(s.term, None)
         for n, r, _ in tried[k + 1 :]:
             found.refused.setdefault(r.term, (n, f"{s.term} predicts better by {nats - n:.1f} nats"))
@@ -322,7 +329,7 @@ class _Trial:
 
 def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
     """Why a term is not taken; empty where it is."""
-    nats, p_value, level = trial.nats, trial.p_value, _level(candidates)
+    nats, p_value, level = trial.nats, trial.p_value, level_of(candidates)
     if not np.isfinite(nats) or nats <= 0.0:
         return f"it predicts no better than its parameters cost ({nats:.1f} nats)"
     if (probability := probability_of(nats, candidates)) < PROBABILITY:

@@ -12,19 +12,14 @@ from flighttest.diagnose.block import SEED
 from flighttest.diagnose.model import short
 from flighttest.diagnose.records import HeldOutRow
 from flighttest.diagnose.selection.held_out import worse_in_more
-from flighttest.estimation.equation_error import Whitened, block_rows, whiten
+from flighttest.estimation.equation_error import Autoregression, Whitened, block_rows, whiten
 from flighttest.estimation.linearisation import FloatArray
 from flighttest.identify.free_flight import FreeFlight
-from flighttest.identify.motion_equations import Equations
+from flighttest.identify.free_flight.equations import Equations
 from flighttest.segments.model import Segment
 
 MEANS_S = 0.5  # residuals are held out as means over this long: shorter ones are noise of differentiated velocity
 DRAWS = 200
-
-
-def sampling_rate(flown: Sequence[Segment]) -> float:
-    """Median rate of the samples, Hz."""
-    return 1.0 / float(np.median(np.concatenate([np.diff(s.t_s) for s in flown])))
 
 
 def groups_left_out(found: FreeFlight) -> tuple[int, str]:
@@ -43,11 +38,12 @@ def share_gained(row: HeldOutRow | None) -> float:
 def held_out_table(
     flown: Sequence[Segment], smaller: FreeFlight, larger: FreeFlight
 ) -> dict[str, dict[str, HeldOutRow]]:
-    """Channel (short) to RMS errors of means over half a second, of groups not used, of two models of these flights.
+    """Channel (short) to RMS errors, of groups not used, of two models of these flights: of means over half a second; of attitude loops one
+    sample ahead, by the noise of the smaller model, since what gusts do to an attitude lasts.
 
     Parameters without a group by one Gauss-Newton step from the estimate with it; a flight's own wind is taken as estimated.
     """
-    errors = [_left_out(flown, one) for one in (smaller, larger)]
+    errors = [_left_out(flown, one, smaller.noise) for one in (smaller, larger)]
     table: dict[str, dict[str, HeldOutRow]] = {}
     rng = np.random.default_rng(SEED)
     for channel in errors[0]:
@@ -73,17 +69,25 @@ def against_larger(table: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
     return worse_in_more(sum(high < 0.0 for _, high in gains), sum(low > 0.0 for low, _ in gains))
 
 
-def _left_out(flown: Sequence[Segment], one: FreeFlight) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
-    """Channel to (means of the residual as predicted without their group, their group, means of the residual of the whole estimate)."""
+def _errors(values: FloatArray, noise: Autoregression, of: FreeFlight) -> FloatArray:
+    """What is compared of a residual (n,): means over `MEANS_S`, or one-step prediction errors."""
+    if of.part != "translation":
+        return noise.whitened(values) * noise.std
+    many = max(round(MEANS_S / of.period_s), 1)
+    return np.asarray(values[: values.size // many * many].reshape(-1, many).mean(axis=1))
+
+
+def _left_out(
+    flown: Sequence[Segment], one: FreeFlight, noise: Mapping[str, Autoregression]
+) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
+    """Channel to (errors as predicted without their group, their group, errors of the whole estimate); noise: of one-step predictions."""
     names = list(dict.fromkeys(n.split("@")[0] for n in one.names))
     own = tuple(n for n in names if n not in one.names)
     with np.errstate(all="ignore"):
-        streams, columns = Equations(one.model, flown).streams(one.values, names, own)
+        streams, columns = Equations(one.model, flown, one.part).streams(one.values, names, own)
     place = [columns.index(n) for n in one.names]
     count, kind = groups_left_out(one)
-    period = 1.0 / sampling_rate(flown)
-    rows = block_rows(one.seconds, period)
-    many = max(round(MEANS_S / period), 1)
+    rows = block_rows(one.seconds, one.period_s)
     parts: list[Whitened] = []
     pieces: list[tuple[str, FloatArray, FloatArray, int]] = []
     for s in streams:
@@ -104,11 +108,11 @@ def _left_out(flown: Sequence[Segment], one: FreeFlight) -> dict[str, tuple[Floa
         inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-8, hermitian=True)
         delta = np.where(determined, inverse @ (score / scale) / scale, 0.0)
         for channel, residual, jacobian, group in pieces:
-            if group != g or residual.size < many:
+            if group != g:
                 continue
-            n = residual.size // many * many
-            means = [v[:n].reshape(-1, many).mean(axis=1) for v in (residual - jacobian @ delta, residual)]
-            made.setdefault(channel, []).append((means[0], np.full(means[0].size, g), means[1]))
+            without, whole = (_errors(v, noise[channel], one) for v in (residual - jacobian @ delta, residual))
+            if without.size:
+                made.setdefault(channel, []).append((without, np.full(without.size, g), whole))
     return {
         c: (np.concatenate([m[0] for m in v]), np.concatenate([m[1] for m in v]), np.concatenate([m[2] for m in v]))
         for c, v in made.items()

@@ -11,7 +11,7 @@ from flighttest.diagnose.records import ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.identify.free_flight import FreeFlight
-from flighttest.identify.winds import CHANCE, WIND_TERM
+from flighttest.identify.free_flight.winds import CHANCE, WIND_TERM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from flighttest.estimation.likelihood_weights import regular, sample_weights
 from flighttest.estimation.problem import Part, PartEvaluation, Problem, prior_std
 from flighttest.estimation.solver import Solution
-from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
@@ -27,11 +26,6 @@ ALLOWED = 2.0
 FEW_WINDOWS = 3
 
 
-def steered(segment: Segment) -> bool:
-    """Whether somebody flew what this was cut from, instead of a script that asked for steps."""
-    return segment.kind == "free" or segment.context.by_hand
-
-
 def closed_loop_bias(problem: Problem, solution: Solution) -> dict[str, float]:
     """By name of a free parameter: how far the controls' answers to disturbances may have moved it; empty without free flight."""
     free = solution.free
@@ -40,7 +34,7 @@ def closed_loop_bias(problem: Problem, solution: Solution) -> dict[str, float]:
     score = np.zeros((len(LEADS_S), len(free)))
     windows = 0
     for part, made in zip(problem.parts, solution.evaluations, strict=True):
-        rows = [j for j, r in enumerate(part.responses) if steered(problem.segments[r.index])]
+        rows = [j for j, r in enumerate(part.responses) if problem.segments[r.index].steered]
         if rows:
             windows = max(windows, len(rows))
             columns = [free.index(n) for n in made.columns[: len(made.columns) - len(part.locals)]]

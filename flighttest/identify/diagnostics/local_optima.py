@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Part, Problem
 from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
-from flighttest.estimation.uncertainty.closed_loop import steered
 from flighttest.estimation.uncertainty.covariance import Covariance, scatter_of, std_of
 from flighttest.identify.diagnostics.quality import noise_floor
 
@@ -136,7 +135,7 @@ def followed(problem: Problem, solution: Solution, i: int) -> bool:
     part, made = problem.parts[i], solution.evaluations[i]
     if not any(n.startswith(("T_d", "omega", "sigma")) for n in part.block.params if n in solution.free):
         return True
-    if any(steered(problem.segments[r.index]) for r in part.responses):
+    if any(problem.segments[r.index].steered for r in part.responses):
         return False
     channel = _MAIN.get(part.block.name) or next(
         (c for c in ("f_z_m_s2", "a_z_m_s2", "v_z_m_s") if c in part.outputs), ""

@@ -11,18 +11,19 @@ from pathlib import Path
 from flighttest.datafiles import check_writable, write_whole
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
-from flighttest.diagnose.free_flight import diagnose_free_flight, is_free_flight
+from flighttest.diagnose.free_flight import diagnose_free_flight
 from flighttest.diagnose.records import DiagnosisData
 from flighttest.diagnose.step_error import rows_of
 from flighttest.documents import write_text
 from flighttest.errors import InputError
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
+from flighttest.identify.free_flight import is_free_flight
+from flighttest.identify.free_flight.winds import WIND_TERM
 from flighttest.identify.models import model_file
 from flighttest.identify.models.informative_prior import carry_over, known_before
 from flighttest.identify.models.model_blocks import DiagnosedBlock
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.identify.winds import WIND_TERM
 from flighttest.physics.catalogue import catalogue
 from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
 from flighttest.pipeline.identification.fitting import base_model, cut_all, model_data
@@ -61,7 +62,7 @@ def run_diagnosis(
 ) -> Diagnosis:
     """The diagnosis of segments, from the stored model's physics or the paper's; its proposal held against the vehicle's zone.
 
-    Free flight alone by equation error (`diagnose.free_flight`), all else by output error. weather: flight to 'still' or 'unknown',
+    Free flight alone by prediction errors (`diagnose.free_flight`), all else by output error. weather: flight to 'still' or 'unknown',
     the vehicle's where it is not given.
     """
     previous = None
@@ -145,9 +146,7 @@ def refit(found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None 
     assert found.fit is not None
     fitted = found.fit
     known = known_before(fitted, base)
-    if not known or is_free_flight(
-        segments
-    ):  # its translation is of the equations, which output error does not estimate anew
+    if not known or is_free_flight(segments):  # output error does not estimate it anew
         return fitted, ()
     usable = [s for s in segments if s.usable]
     again = identify(usable, found.model, select="all", start=fitted.start, frozen=known)

@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import TypedDict
 
 from flighttest.errors import FlighttestError, InputError
+from flighttest.identify.free_flight.winds import STILL_STD_M_S, Winds, wind_rows, winds
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.identify.motor_shares import FEWEST, REPEATS, SHOWS, motor_shares
-from flighttest.identify.winds import STILL_STD_M_S, Winds, wind_rows, winds
 from flighttest.physics.model import Model
 from flighttest.recording import Recording
 from flighttest.report.document import Cell, Paragraph, Section, Table

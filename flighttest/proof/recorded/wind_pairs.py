@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flighttest.diagnose.records import DiagnosisData
-from flighttest.identify.winds import WIND, WIND_TERM
+from flighttest.identify.free_flight.winds import WIND, WIND_TERM
 
 STANDARD_ERRORS = 2.0
 WITHIN_M_S = 1.0  # of a calibration of fans, and of what a fan's stream varies by over a figure of eight

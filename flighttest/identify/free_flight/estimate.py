@@ -34,7 +34,9 @@ from flighttest.estimation.equation_error import (
 from flighttest.estimation.gauss_newton import MAX_ITERATIONS, Minimum, Space, minimise
 from flighttest.estimation.uncertainty.covariance import interval_factor
 from flighttest.identify.dead_time import thrust_gain
-from flighttest.identify.motion_equations import Equations, chunk, stretches
+from flighttest.identify.diagnostics.identifiability import voltage_varies
+from flighttest.identify.free_flight.equations import Equations
+from flighttest.identify.free_flight.stretches import chunk, stretches
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -48,9 +50,18 @@ SETTLED = (
 )
 PRIOR_SIZES = 3.0  # as of the candidates of a diagnosis: prior standard deviation in usual sizes
 ALPHA_STD = 0.5  # motors on a battery have 1 to 2
-STARTS: tuple[dict[str, float], ...] = tuple(
-    {"sigma_t": sigma, "T_d_thrust": delay, "T_d": delay} for sigma in (15.0, 6.0) for delay in (0.02, 0.08, 0.2)
-)
+DELAYS_S = (0.02, 0.08, 0.2)
+# Lags and delays that local optima are looked for from, by part of the model.
+STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
+    "translation": tuple({"sigma_t": s, "T_d_thrust": d, "T_d": d} for s in (15.0, 6.0) for d in DELAYS_S),
+    "roll_pitch": tuple(
+        {"omega_phi": w, "omega_theta": w, "T_d_attitude": d, "T_d": d} for w in (20.0, 7.0) for d in DELAYS_S
+    ),
+    "yaw": tuple({"sigma_r": s, "T_d_yaw_rate": d, "T_d": d} for s in (15.0, 4.0) for d in DELAYS_S),
+}
+INPUTS = {
+    "translation": ("throttle",), "roll_pitch": ("roll_ref_rad", "pitch_ref_rad"), "yaw": ("yaw_rate_ref_rad_s",),
+}  # fmt: skip
 DRAG = ("d_x", "d_y", "d_z")
 START_S, PIECES = 60.0, 4  # of flight that local optima are looked for in
 FIRST_ITERATIONS = 6
@@ -59,14 +70,15 @@ LEANS = 0.7  # of its prior's standard deviation: a parameter with a larger erro
 
 @dataclass(frozen=True)
 class FreeFlight:
-    """What free flight shows of the translation.
+    """What free flight shows of one part of the model: its translation, or its attitude loops.
 
     values: parameters by name, those of one flight as `name@flight`; std: standard errors of the estimated ones, robust over 1 to 5 s;
-    covariance (q, q) in the order of `names`; noise: per channel the spectrum of what is left; rms: per channel of the residual, m/s^2;
+    covariance (q, q) in the order of `names`; noise: per channel the spectrum of what is left; rms: per channel of the residual, SI units;
     seconds: of flight used; priors: names whose error is mostly the prior's; spread: by name of a shared parameter, the standard deviation
     by which flights differ in it beyond their errors (in `covariance` already); inflation: median ratio of the robust variances to those of
     the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson 2002, section 2.5);
-    blocks: of the robust covariance.
+    blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between
+    the samples of the residual; of_noise: (q, q) covariance as if the noise were all.
     """
 
     model: Model
@@ -84,6 +96,19 @@ class FreeFlight:
     spread: Mapping[str, float] = field(default_factory=dict)
     inflation: float = 1.0
     blocks: int = 0
+    part: str = "translation"
+    period_s: float = 0.02
+    of_noise: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def inflation_of(self, at: Sequence[int]) -> float:
+        """By how much the variances of some parameters, at these positions, are larger than by the noise alone, at least 1: the mean
+        over directions, tr(C_noise^-1 C) / k, by which a gain of likelihood from these is to be divided (Rotnitzky and Jewell 1990)."""
+        some = np.ix_(at, at)
+        if not len(at) or not np.isfinite(self.covariance[some]).all() or not np.isfinite(self.of_noise[some]).all():
+            return self.inflation
+        scale = np.sqrt(np.diag(self.of_noise)[list(at)])
+        noise, whole = (c[some] / np.outer(scale, scale) for c in (self.of_noise, self.covariance))
+        return max(float(np.trace(np.linalg.pinv(noise, hermitian=True) @ whole)) / len(at), 1.0)
 
     def factor(self, level: float = 0.95) -> float:
         """Half an interval in standard errors (Student's t of the blocks of the covariance)."""
@@ -96,12 +121,12 @@ class FreeFlight:
 
 
 def start_of(flown: Sequence[Segment], model: Model) -> dict[str, float]:
-    """Start values: K from the ratio of force to throttle, drag nominal, lag and delay of usual motors."""
+    """Start values: K from the ratio of force to throttle, drag nominal, lag and delay of usual motors, else as of a model."""
     values = model.start()
     gain = thrust_gain(flown, model.nominal_voltage_v)
     if gain is not None and "K" in model.param:
         values["K"] = float(np.clip(gain, model.param["K"].lower * 1.01, model.param["K"].upper * 0.99))
-    return values | {n: v for n, v in STARTS[0].items() if n in values}
+    return values | {n: v for n, v in STARTS["translation"][0].items() if n in values}
 
 
 def prior_of(p: Param) -> tuple[float, float]:
@@ -113,10 +138,18 @@ def prior_of(p: Param) -> tuple[float, float]:
     return p.nominal, np.inf
 
 
+def determined(flown: Sequence[Segment], model: Model) -> list[str]:
+    """Parameters that free flight may determine: not the exponent of a voltage that stays what it is, nor an upward wind, which is a
+    thrust."""
+    held = {"w_up"} | (set() if voltage_varies(flown, model.nominal_voltage_v) else {"alpha"})
+    return [n for n in model.names if n not in held]
+
+
 def estimate(
     flown: Sequence[Segment],
     model: Model,
     *,
+    part: str = "translation",
     start: Mapping[str, float] | None = None,
     free: Sequence[str] | None = None,
     per_flight: Sequence[str] = (),
@@ -124,9 +157,9 @@ def estimate(
 ) -> FreeFlight:
     """Gauss-Newton on the whitened equations, noise and parameters in turn.
 
-    flown: of `stretches`; start: parameters by name, those of one flight as `name@flight` (default: from the flight itself); free: names
-    that are estimated (default: all that act); per_flight: names with a value per flight; priors: name, or `name@flight`, to (mean,
-    standard deviation). FitError where there is nothing to estimate from.
+    flown: of `stretches`; part: of the model, one of `estimation.estimator.BLOCKS`; start: parameters by name, those of one flight as
+    `name@flight` (default: from the flight itself); free: names that are estimated (default: all that act); per_flight: names with a value
+    per flight; priors: name, or `name@flight`, to (mean, standard deviation). FitError where there is nothing to estimate from.
 
     Where flights have winds of their own, and `start` has none, much drag in little wind is a local optimum beside little drag in much
     wind: both are sought, and the covariance is that of the mixture of what was found (`mixture`).
@@ -136,22 +169,23 @@ def estimate(
             "no free flight with attitude, velocity and throttle of 4 s or more",
             "see `flighttest segment` for what was recorded",
         )
-    asked = _Asked(model, free, tuple(per_flight), dict(priors or {}))
+    asked = _Asked(model, part, free, tuple(per_flight), dict(priors or {}))
     known = {**start_of(flown, model), **dict(start or {})}
-    starts = [known if set(start or {}) & {"sigma_t", "T_d_thrust", "T_d"} else _with_lag(flown, asked, known)]
+    starts = [known if set(start or {}) & set(STARTS[part][0]) else _with_lag(flown, asked, known)]
     if per_flight and not any("@" in n for n in start or {}):
         usual = {p.name: p.nominal for p in model.params if p.name in DRAG}
         starts += [starts[0] | usual, _with_lag(flown, asked, known | usual)]
-    equations = Equations(model, flown)
+    equations = Equations(model, flown, part)
     return mixture([_minimised(equations, asked, one, MAX_ITERATIONS) for one in starts])
 
 
 def _with_lag(flown: Sequence[Segment], asked: _Asked, values: Mapping[str, float]) -> dict[str, float]:
     """Start values with the best of several local optima of lag and delay, each followed for a while on a part of the flight."""
-    equations = Equations(asked.model, _some(flown))
-    tried = [_minimised(equations, asked, {**values, **_known(one, values)}, FIRST_ITERATIONS) for one in STARTS]
+    equations = Equations(asked.model, _some(flown, asked.part), asked.part)
+    starts = STARTS[asked.part]
+    tried = [_minimised(equations, asked, {**values, **_known(one, values)}, FIRST_ITERATIONS) for one in starts]
     best = max(tried, key=lambda found: found.log_likelihood)
-    return {**values, **{n: best.values[n] for n in ("sigma_t", "T_d_thrust", "T_d", "K") if n in best.values}}
+    return {**values, **{n: best.values[n] for n in (*starts[0], "K") if n in best.values}}
 
 
 def mixture(found: Sequence[FreeFlight]) -> FreeFlight:
@@ -176,21 +210,23 @@ def _known(some: Mapping[str, float], values: Mapping[str, float]) -> dict[str, 
     return {n: v for n, v in some.items() if n in values}
 
 
-def _some(flown: Sequence[Segment]) -> list[Segment]:
-    """Stretches of at most `START_S` in all, the most from where the throttle moves most."""
+def _some(flown: Sequence[Segment], part: str) -> list[Segment]:
+    """Stretches of at most `START_S` in all, the most from where the inputs of a part of the model move most."""
     pieces: list[tuple[float, int, Segment]] = []
     for s in flown:
         period = float(np.median(np.diff(s.t_s)))
         n = max(round(START_S / PIECES / period), 10)
         for a in range(0, max(s.t_s.size - n, 1), n):
             piece = chunk(s, {}, a, min(a + n, s.t_s.size))
-            pieces.append((float(np.std(piece.u["throttle"][1])), len(pieces), piece))
+            moved = sum(float(np.std(piece.u[name][1])) for name in INPUTS[part] if name in piece.u)
+            pieces.append((moved, len(pieces), piece))
     return [p for _, _, p in sorted(pieces, reverse=True)[:PIECES]]
 
 
 @dataclass(frozen=True)
 class _Asked:
     model: Model
+    part: str
     free: Sequence[str] | None
     per_flight: tuple[str, ...]
     priors: Mapping[str, tuple[float, float]]
@@ -225,8 +261,7 @@ class _PredictionErrors:
         params = [asked.model.param[c.split("@")[0]] for c in self.columns]
         self.space = Space(*(np.array([getattr(p, k) for p in params]) for k in ("lower", "upper", "scale")))
         self.mean, self.std = (np.array([asked.prior(c)[k] for c in self.columns]) for k in (0, 1))
-        period = float(np.median(np.concatenate([np.diff(s.t_s) for s in equations.flown])))
-        self.rows = block_rows(sum(float(np.ptp(s.t_s)) for s in equations.flown), period)
+        self.rows = block_rows(sum(float(np.ptp(s.t_s)) for s in equations.flown), equations.period_s)
         self.noise = noises(self.first)
 
     def start(self) -> _Point:
@@ -257,7 +292,8 @@ class _PredictionErrors:
         """Whitened sum of squares with the priors'; infinite where the model is not finite."""
         if not at.finite:
             return np.inf
-        total = sum(float(np.sum(self.noise[s.channel].whitened(s.residual) ** 2)) for s in at.streams)
+        with np.errstate(over="ignore"):  # a step too far may diverge: its cost is infinite
+            total = sum(float(np.sum(self.noise[s.channel].whitened(s.residual) ** 2)) for s in at.streams)
         return total + float(np.sum(((at.theta - self.mean) / self.std) ** 2))
 
     def log_likelihood(self, cost: float) -> float:
@@ -292,8 +328,11 @@ class _PredictionErrors:
         made = step(rows, self.mean - at.theta, self.std)
         own = np.array(["@" in c for c in self.columns])
         spread, extra = heterogeneity(rows, own, self.std)
-        ratio = lack_of_fit(at.streams, self.noise)
-        wrong = sum((ratio[c] - 1.0) * _gram(rows.columns[rows.channel == c]) for c in ratio)
+        lacks = lack_of_fit(at.streams, self.noise)
+        if self.asked.part == "translation":  # velocity and throttle drive all of it
+            wrong = sum((lacks[c].ratio - 1.0) * _gram(rows.columns[rows.channel == c]) for c in lacks)
+        else:  # a moment of the air is driven by a velocity that is no state of the loops
+            wrong = sum((lack.ratio - 1.0) * lack.along for lack in lacks.values())
         known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so in the sandwich
         robust = made.robust + known @ wrong @ known
         covariance = robust + extra
@@ -309,7 +348,8 @@ class _PredictionErrors:
             float(sum(s.t_s[-1] - s.t_s[0] for s in self.equations.flown)), self.equations.flights, minimum.iterations,
             minimum.status.good, self.log_likelihood(self.cost(at)), leaning,
             {c: float(v) for c, v in zip(self.columns, spread, strict=True) if v > 0.0},
-            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1,
+            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1, self.asked.part,
+            self.equations.period_s, made.covariance,
         )  # fmt: skip
 
 

@@ -1,0 +1,142 @@
+"""What a search of free flight is reported as: findings, candidates, smallest sizes, notes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from flighttest.channels import CHANNELS
+from flighttest.diagnose.findings import parameter_in_words
+from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations
+from flighttest.diagnose.free_flight.prediction import share_gained
+from flighttest.diagnose.free_flight.tables import pairs_of_flights, table_of, what_separates
+from flighttest.diagnose.model import Finding, Rival, TermVerdict, short
+from flighttest.diagnose.records import CandidateRow, HeldOutRow, ParameterRow
+from flighttest.diagnose.selection.candidates import usual_size
+from flighttest.diagnose.selection.comparison import level_of, probability_of
+from flighttest.diagnose.selection.detectability import POWER
+from flighttest.estimation.uncertainty.distributions import normal_quantile
+from flighttest.identify.free_flight.winds import WIND_TERM
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.core import Term
+
+
+def findings_of(
+    search: EquationSearch, held: Mapping[str, Mapping[str, HeldOutRow]], table: Mapping[str, ParameterRow]
+) -> list[Finding]:
+    """Of every named term. held: as of `held_out_table`; table: parameters of the final model."""
+    return [_finding(search, named, held, table) for named in search.named.values()]
+
+
+def _finding(
+    search: EquationSearch,
+    named: NamedByEquations,
+    held: Mapping[str, Mapping[str, HeldOutRow]],
+    table: Mapping[str, ParameterRow],
+) -> Finding:
+    term, final = catalogue()[named.term], search.final
+    if named.term == WIND_TERM:
+        rows = table_of(final, None)
+        parameters = {n: rows[n] for n in rows if n.startswith("w_")}
+    else:
+        parameters = {n: v for n, v in table.items() if final.model.term_of(n) == named.term}
+    scale = {c: named.size[c] / final.rms[c] for c in named.size if final.rms.get(c)}
+    channel = max(scale, key=lambda c: scale[c])
+    words = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
+    if named.term == WIND_TERM and len(search.winds) > 1:
+        words = f"up to {max(w.speed for w in search.winds):.2g} m/s; each flight has its own"
+    size = f"{named.size[channel]:.2g} {CHANNELS[channel].unit} RMS of {short(channel)}"
+    sentence = f"{term.plain} ({words}); {size} beside the rest of the model"
+    if term.family in ("autopilot", "sensor", "link"):
+        title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
+        sentence = f"This is your {term.family} ({title}): {sentence}"
+    rivals = tuple(Rival(r, TermVerdict.CONFUSABLE, 1.0, what_separates(r, named.term)) for r in named.rivals)
+    if rivals:
+        sentence += f"; {', '.join(r.term for r in rivals)} would explain it as well: {rivals[0].separated_by}"
+    forces = [v for c, v in named.size.items() if c.startswith(("f_", "a_"))]
+    return Finding(
+        term=named.term,
+        title=term.title,
+        family=term.family,
+        verdict=TermVerdict.CONFUSABLE if rivals else TermVerdict.SUPPORTED,
+        equation=term.equation,
+        plain=term.plain,
+        parameters=parameters,
+        heldout={c: rows["all"] for c, rows in held.items()},
+        evidence={
+            "delta_bic": -2.0 * named.nats,
+            "log_evidence": named.nats,
+            "probability": probability_of(named.nats, len(search.offered)) / (1 + len(rivals)),
+            "floors": float(scale[channel]),
+            "where": {"channel": short(channel), "kind": "free"},
+            "heldout_gain": share_gained(held.get(short(channel), {}).get("all")),
+            "p_value": named.p_value,
+            "rms_force_m_s2": float(np.sqrt(sum(v**2 for v in forces))) if forces else None,
+            "rms_force_left_m_s2": None,
+        },
+        rivals=rivals,
+        sentence=sentence,
+        source=term.source,
+        doubt=term.doubt,
+    )
+
+
+def smallest_of(search: EquationSearch, pool: Sequence[Term]) -> Iterator[tuple[Term, str, float]]:
+    """(term, coefficient, its smallest size that would have been named) of every term screened."""
+    least = -normal_quantile(0.5 * level_of(len(search.offered))) + POWER
+    known = {t.id: t for t in pool}
+    for s in search.screened:
+        usual = {p.name: abs(usual_size(p)) for p in known[s.term].amplitudes if usual_size(p)}
+        sizes = {n: least * e for n, e in s.std.items() if n in usual}
+        if sizes:
+            name = min(sizes, key=lambda n: sizes[n] / usual[n])
+            yield known[s.term], name, sizes[name]
+
+
+def candidates_of(search: EquationSearch, hidden: Mapping[str, str]) -> list[CandidateRow]:
+    """Every candidate's evidence. hidden: terms that could not be seen, and why."""
+    rows: list[CandidateRow] = []
+    for n in search.named.values():
+        channel, size = max(n.size.items(), key=lambda kv: kv[1])
+        rows.append(CandidateRow(
+            term=n.term, verdict=TermVerdict.SUPPORTED, delta_bic=-2.0 * n.nats, floors=None,
+            probability=probability_of(n.nats, len(search.offered)) / (1 + len(n.rivals)),
+            why=f"{size:.2g} {CHANNELS[channel].unit} RMS, p {n.p_value:.1g}",
+        ))  # fmt: skip
+    for term, (nats, why) in search.refused.items():
+        if term not in search.named:
+            rows.append(CandidateRow(
+                term=term, verdict=TermVerdict.NOT_NEEDED, delta_bic=-2.0 * nats, probability=0.0, floors=None, why=why,
+            ))  # fmt: skip
+    done = {r["term"] for r in rows}
+    for s in search.screened:
+        if s.term not in done:
+            verdict = TermVerdict.UNTESTABLE if s.term in hidden else TermVerdict.NOT_NEEDED
+            why = hidden.get(s.term, f"score test: p {s.p_value:.2g}")
+            rows.append(CandidateRow(
+                term=s.term, verdict=verdict, delta_bic=0.0, probability=0.0, floors=None, why=why,
+            ))  # fmt: skip
+    return rows
+
+
+def notes_of_search(search: EquationSearch) -> list[str]:
+    """The noise found, and, of the translation, what winds and further flights would show."""
+    notes = []
+    if search.beside_wind:
+        notes.append(
+            f"{' and '.join(search.beside_wind)} {'is' if len(search.beside_wind) == 1 else 'are'} estimated beside the wind, which "
+            "tilts the vehicle as they do, and no finding"
+        )
+    if search.winds and len(search.final.flights) > 1:
+        notes.append(
+            "the model is one in still air: the wind of each flight is in the table of winds, not in the model"
+        )
+    for c, noise in search.final.noise.items():
+        period = search.final.period_s
+        density = np.sqrt(noise.spectrum(np.array([0.1, 1.0, 0.4 / period]), period))
+        notes.append(
+            f"noise of {short(c)} in these flights: {density[0]:.2g}, {density[1]:.2g} and {density[2]:.2g} {CHANNELS[c].unit} per root Hz "
+            f"at 0.1, 1 and {0.4 / period:.0f} Hz"
+        )
+    return notes + (pairs_of_flights(search) if search.final.part == "translation" else [])

@@ -1,0 +1,78 @@
+"""The equations of stretches of flight under one model, ready to be evaluated at parameter values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from flighttest.estimation.equation_error import Stream
+from flighttest.estimation.estimator import part_of
+from flighttest.identify.free_flight.loops import MEANS_S, LoopEquations
+from flighttest.identify.free_flight.stretches import sampling_period_s
+from flighttest.identify.free_flight.translation import TranslationEquations
+from flighttest.identify.selection import able
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+
+@dataclass
+class Equations:
+    """part: 'translation', 'roll_pitch' or 'yaw' (`estimation.estimator.BLOCKS`)."""
+
+    model: Model
+    flown: Sequence[Segment]
+    part: str = "translation"
+    _made: dict[str, list[TranslationEquations | LoopEquations]] = field(default_factory=dict, repr=False)
+
+    @property
+    def flights(self) -> tuple[str, ...]:
+        """Names of the recordings."""
+        return tuple(dict.fromkeys(s.run for s in self.flown))
+
+    @cached_property
+    def period_s(self) -> float:
+        """Time between the samples of the residuals."""
+        sampled = sampling_period_s(self.flown)
+        return sampled if self.part == "translation" else max(sampled, MEANS_S)
+
+    @cached_property
+    def params(self) -> tuple[str, ...]:
+        """Names of what the equations depend on."""
+        return tuple(dict.fromkeys(n for flight in self.flights for one in self._of(flight) for n in one.params))
+
+    def streams(
+        self, values: Mapping[str, float], names: Sequence[str], per_flight: Sequence[str] = ()
+    ) -> tuple[list[Stream], tuple[str, ...]]:
+        """Residual and Jacobian of every stretch, by `names`; those of `per_flight` have a column for each flight (`name@flight`)."""
+        shared = [n for n in names if n not in per_flight]
+        own = [n for n in names if n in per_flight]
+        columns = (*shared, *(f"{n}@{flight}" for flight in self.flights for n in own))
+        found: list[Stream] = []
+        for g, flight in enumerate(self.flights):
+            mine = {n: values.get(f"{n}@{flight}", values[n]) for n in self.model.names}
+            left = [one for equation in self._of(flight) for one in equation.evaluated(mine, [*shared, *own])]
+            if self.part != "translation":
+                left.sort(key=lambda one: one.channel)  # the same order whether a term couples the axes or not
+            for channel, residual, slopes, state in left:
+                placed = np.zeros((residual.size, len(columns)))
+                placed[:, : len(shared)] = slopes[:, : len(shared)]
+                at = len(shared) + g * len(own)
+                placed[:, at : at + len(own)] = slopes[:, len(shared) :]
+                found.append(Stream(channel, g, residual, placed, state))
+        return found, columns
+
+    def _of(self, flight: str) -> list[TranslationEquations | LoopEquations]:
+        if flight not in self._made:
+            flown = [s for s in self.flown if s.run == flight]
+            self._made[flight] = (
+                [TranslationEquations(self.model, flown)] if self.part == "translation" else self._loops(flown)
+            )
+        return self._made[flight]
+
+    def _loops(self, flown: Sequence[Segment]) -> list[TranslationEquations | LoopEquations]:
+        """Of the blocks whose references move in a flight."""
+        blocks = [b for b in self.model.blocks if part_of(b.name) == self.part and able(flown, b)]
+        return [loop for loop in (LoopEquations(self.model, b, flown) for b in blocks) if loop.outputs]

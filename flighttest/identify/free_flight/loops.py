@@ -1,0 +1,71 @@
+"""The attitude loops in free flight: their angles as the references alone make them, simulated over whole stretches.
+
+What is left is the loops' answer to everything that no reference asked for, torques of gusts above all, and is coloured by the loops
+themselves. With an autoregressive noise, the innovations of this output error are those of a Box-Jenkins model (Ljung, System
+Identification, 2nd ed., section 4.2): its estimates stay consistent where a pilot or a position loop answers the gusts, as long as
+references act after a delay. Output error by itself took an answer to a gust for the gust's cause: on a pilot's flight of an ArduCopter it
+found no delay at all, where the innovations have 32 and 41 ms in roll and pitch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from flighttest.identify.free_flight.residual import FloatArray, Residual
+from flighttest.identify.free_flight.stretches import Chunks, unbroken
+from flighttest.identify.selection import changes
+from flighttest.physics.blocks import AXES, Block
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+# Attitudes are compared as means over this long. What they do faster, at four times the bandwidth of the loops and more, is filters, motors
+# and the sampling of references, which the equations do not have: the innovations of 50 Hz, whose noise is least there, are mostly these.
+MEANS_S = 0.1
+REFERENCE_OF = {"roll_rad": "roll_ref_rad", "pitch_rad": "pitch_ref_rad", "r_rad_s": "yaw_rate_ref_rad_s"}
+
+
+class LoopEquations:
+    """One block of the attitude loops over one flight: the outputs whose own references move, so that models with and without a coupling of
+    the axes leave the same residuals. state: the simulated outputs and their rates, functions of the references alone."""
+
+    def __init__(self, model: Model, block: Block, flown: Sequence[Segment]) -> None:
+        self.model, self.block = model, block
+        own = {name for _, names in AXES for name in names}
+        self.chunks = Chunks.of(flown, bool(set(block.free_states) - own), [{} for _ in flown])
+        self.outputs = tuple(
+            n
+            for n in block.outputs
+            if changes(flown, REFERENCE_OF[n]) and all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown)
+        )
+        seen = (np.array([s.y[n] for n in self.outputs]).reshape(-1, s.t_s.size).T for s in flown)
+        self.measured = [self.chunks.along(k, one) for k, one in enumerate(seen)]
+        self.times = [self.chunks.along(k, s.t_s) for k, s in enumerate(flown)]
+
+    @property
+    def params(self) -> tuple[str, ...]:
+        """Names of what the loops depend on."""
+        return self.block.params
+
+    def evaluated(self, values: Mapping[str, float], names: Sequence[str]) -> Iterator[Residual]:
+        """Of every stretch without gaps, without its mean: trim is no dynamics."""
+        for k, predicted, slopes in self.chunks.simulated(self.block, self.outputs, self.model, values, names):
+            t = self.times[k]
+            residual = self.measured[k] - predicted
+            state = np.concatenate([predicted, np.gradient(predicted, t, axis=0)], axis=1)
+            for c, channel in enumerate(self.outputs):
+                # A log may have written attitudes less often than rates: their samples are a series of their own.
+                seen = np.flatnonzero(np.isfinite(self.measured[k][:, c]))
+                good = np.isfinite(residual[seen, c]) & np.isfinite(slopes[seen, c]).all(axis=1)
+                many = max(round(MEANS_S / float(np.median(np.diff(t[seen])))), 1) if seen.size > 1 else 1
+                for a, b in unbroken(t[seen], good):
+                    own, along, of = (_means(one[seen[a:b]], many) for one in (residual[:, c], slopes[:, c], state))
+                    if len(own):
+                        yield Residual(channel, own - own.mean(), along - along.mean(axis=0), of)
+
+
+def _means(values: FloatArray, many: int) -> FloatArray:
+    """(n // many, ...) means of so many samples (n, ...) each."""
+    n = len(values) // many
+    return np.asarray(values[: n * many].reshape(n, many, *values.shape[1:]).mean(axis=1))

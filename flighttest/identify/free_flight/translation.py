@@ -1,0 +1,136 @@
+"""The translation in free flight as equations of motion (equation error): residuals and Jacobians at the measured velocity.
+
+The velocity in the model is predicted from the samples before each: what is smoothed with its own sample or later ones holds the very
+disturbance that the equation is to leave as its error, and in gusts drag came out at half.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.estimation.responses import zero_order_hold
+from flighttest.frames import G_M_S2, rotation_from_euler
+from flighttest.identify.free_flight.residual import Residual
+from flighttest.identify.free_flight.stretches import Chunks, unbroken
+from flighttest.physics.blocks import ACCELERATION, FORCE, VELOCITY
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+
+LATENCY = "velocity_latency"  # a term and its parameter
+BLEND_S = 0.5  # of the complementary filter of velocity and accelerometer
+LINE_S = 0.25  # of velocity alone: drag of what is quicker is below 1 % of its acceleration
+
+
+def predicted(t: FloatArray, values: FloatArray, slope: FloatArray | None) -> FloatArray:
+    """A measured velocity (n,) at each sample as it was to be expected from the samples before it.
+
+    With its measured slope (n,), a complementary filter of `BLEND_S`; else the straight line of the last `LINE_S`.
+    """
+    good = np.isfinite(values)
+    if good.sum() < 3:
+        return values
+    whole = values if good.all() else np.interp(t, t[good], values[good])
+    period = float(np.median(np.diff(t)))
+    if slope is not None:
+        drive = np.diff(t) * np.where(np.isfinite(slope), slope, 0.0)[:-1]
+        gain = min(period / BLEND_S, 1.0)
+        # x_k = (1 - gain) x_(k-1) + gain v_(k-1) + drive_(k-1)
+        x, made = float(whole[0]), [float(whole[0])]
+        for u in (gain * whole[:-1] + drive).tolist():
+            x += u - gain * x
+            made.append(x)
+        return np.array(made)
+    width = max(min(round(LINE_S / period), values.size - 1), 2)
+    before = -np.arange(width, dtype=float)
+    off = before - before.mean()
+    weight = 1.0 / width + (1.0 - before.mean()) * off / np.sum(off**2)
+    found = np.concatenate([whole[:1], np.convolve(whole, weight)[: whole.size - 1]])
+    found[: width + 1] = whole[: width + 1]
+    return np.asarray(found)
+
+
+def _velocity(s: Segment) -> dict[str, FloatArray]:
+    """The three velocities of a stretch, world, each predicted from the past; with the accelerometer where all of it was recorded."""
+    slopes: dict[str, FloatArray] = {}
+    if all(n in s.y and np.isfinite(s.y[n]).any() for n in FORCE):
+        angles = np.stack([s.y[n] for n in ("roll_rad", "pitch_rad", "yaw_rad")], axis=1)
+        a = np.einsum("nij,nj->ni", rotation_from_euler(angles), np.stack([s.y[n] for n in FORCE], axis=1))
+        slopes = dict(zip(VELOCITY, (a - [0.0, 0.0, G_M_S2]).T, strict=True))
+    return {n: predicted(s.t_s, s.y[n], slopes.get(n)) for n in VELOCITY}
+
+
+def _state(s: Segment, velocity: Mapping[str, FloatArray]) -> FloatArray:
+    """(n, 4): velocity along the body's axes, m/s, and throttle, of a stretch with such velocities, world."""
+    angles = np.stack([s.y[n] for n in ("roll_rad", "pitch_rad", "yaw_rad")], axis=1)
+    along = np.einsum("nji,nj->ni", rotation_from_euler(angles), np.stack([velocity[n] for n in VELOCITY], axis=1))
+    return np.column_stack([along, zero_order_hold(s.u["throttle"], s.t_s)])
+
+
+class TranslationEquations:
+    """The equations of motion of one flight at the measured velocity. state: velocity along the body's axes, m/s, and throttle."""
+
+    def __init__(self, model: Model, flown: Sequence[Segment]) -> None:
+        self.model = model
+        self.block = (model.without_terms(LATENCY) if LATENCY in model.terms else model).measured_velocity
+        velocities = [_velocity(s) for s in flown]
+        swings = any(n != "a_t_m_s2" for n in self.block.free_states)
+        self.chunks = Chunks.of(flown, swings, velocities)
+        force = tuple(n for n in FORCE if all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown))
+        self.outputs = force or ACCELERATION
+        seen = (np.stack([s.y[n] for n in (force or VELOCITY)], axis=1) for s in flown)
+        self.measured = [self.chunks.along(k, one) for k, one in enumerate(seen)]
+        states = (_state(s, v) for s, v in zip(flown, velocities, strict=True))
+        self.states = [self.chunks.along(k, one) for k, one in enumerate(states)]
+        self.times = [self.chunks.along(k, s.t_s) for k, s in enumerate(flown)]
+
+    @property
+    def params(self) -> tuple[str, ...]:
+        """Names of what the equations depend on: those of `block`, and the latency of the velocity where the model has it, since increments
+        of velocity are then those of the modelled acceleration so much earlier."""
+        return (*self.block.params, LATENCY) if LATENCY in self.model.terms else self.block.params
+
+    def evaluated(self, values: Mapping[str, float], names: Sequence[str]) -> Iterator[Residual]:
+        """Of every stretch without gaps."""
+        for k, predicted, slopes in self.chunks.simulated(self.block, self.outputs, self.model, values, names):
+            t, seen, state = self.times[k], self.measured[k], self.states[k]
+            if self.outputs == ACCELERATION and LATENCY in values:
+                column = names.index(LATENCY) if LATENCY in names else None
+                predicted, slopes = _late(t, predicted, slopes, values[LATENCY], column)
+            if self.outputs == ACCELERATION:
+                h = np.diff(t)[:, None]
+                seen = np.diff(seen, axis=0) / h
+                predicted, slopes, state = (0.5 * (one[1:] + one[:-1]) for one in (predicted, slopes, state))
+                t = t[1:]
+            residual = seen - predicted
+            for c, channel in enumerate(self.outputs):
+                good = np.isfinite(residual[:, c]) & np.isfinite(slopes[:, c]).all(axis=1)
+                for a, b in unbroken(t, good):
+                    yield Residual(channel, residual[a:b, c], slopes[a:b, c], state[a:b])
+
+
+def _late(
+    t: FloatArray, predicted: FloatArray, slopes: FloatArray, latency_s: float, column: int | None
+) -> tuple[FloatArray, FloatArray]:
+    """Values (n, c) and derivatives (n, c, q) of a latency ago; `column` becomes the derivative by the latency.
+
+    The velocity that drag acts on stays the one of then, of a latency before: of the effect of a latency, drag's share of it, d over the
+    frequency of the motion, is left out.
+    """
+    then = t - latency_s
+
+    def earlier(values: FloatArray) -> FloatArray:
+        flat = values.reshape(t.size, -1)
+        return (
+            np.stack([np.interp(then, t, one) for one in flat.T], axis=1).reshape(values.shape) if flat.size else values
+        )
+
+    rate = -np.gradient(predicted, t, axis=0) if t.size > 2 else np.zeros_like(predicted)
+    made = earlier(slopes) if latency_s else slopes.copy()
+    if column is not None:
+        made[..., column] = earlier(rate)
+    return (earlier(predicted) if latency_s else predicted), made
