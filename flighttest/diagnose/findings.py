@@ -68,9 +68,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
         f"{term.plain} ({numbers}); {brief(evidence.floors)} noise floors in {short(evidence.place[0])} of {flown(evidence.place[1])}; "
         f"probability {_percent(evidence.probability)}{undetermined_sizes(term, parameters)}"
     )
-    if term.family in ("autopilot", "sensor", "link"):
-        title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
-        sentence = f"This is your {term.family} ({title}): {sentence}"
+    sentence = with_owner(term, sentence)
     if confusable:
         others = ", ".join(r.term for r in confusable)
         sentence += f"; {others} would explain it as well, fly {confusable[0].separated_by} to separate them"
@@ -99,6 +97,14 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
         source=term.source,
         doubt=term.doubt,
     )
+
+
+def with_owner(term: Term, sentence: str) -> str:
+    """A sentence about a term, which begins with whose the term is where it is no physics of the vehicle."""
+    if term.family not in ("autopilot", "sensor", "link"):
+        return sentence
+    title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
+    return f"This is your {term.family} ({title}): {sentence}"
 
 
 def undetermined_sizes(term: Term, parameters: Mapping[str, ParameterRow]) -> str:

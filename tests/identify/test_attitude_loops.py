@@ -6,7 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flighttest.diagnose.free_flight import diagnose_free_flight
+from flighttest.diagnose.free_flight import assembly, diagnose_free_flight
+from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.identify.fit import fit
 from flighttest.identify.free_flight import estimate, fit_free_flight, is_free_flight, stretches
 from flighttest.physics.model import Model
@@ -112,6 +113,20 @@ def test_a_fit_and_a_diagnosis_print_the_same_values_and_intervals():
         assert found.after[name]["value"] == pytest.approx(one.value)
         assert found.after[name]["interval_95"] == pytest.approx(one.interval_95)
         assert found.before[name]["interval_95"] == pytest.approx(one.interval_95)
+
+
+def test_an_interrupt_while_the_loops_are_searched_keeps_the_translation(monkeypatch):
+    """It lost the whole diagnosis."""
+
+    def interrupted(*args, part="translation", **more):
+        if part == "yaw":
+            raise KeyboardInterrupt
+        return find_terms(*args, part=part, **more)
+
+    monkeypatch.setattr(assembly, "find_terms", interrupted)
+    found = diagnose_free_flight(piloted(60.0, 0), Model(), only=())
+    assert not found.complete
+    assert {"K", "omega_phi"} <= set(found.after)
 
 
 def test_steps_by_hand_are_windows_of_the_flight_they_are_of():

@@ -89,6 +89,10 @@ def diagnose_free_flight(
             if part == "translation":
                 raise
             notes.append(f"nothing in this recording moves the {PART_IN_WORDS[part]}: it is left out")
+        except KeyboardInterrupt:
+            if not searches:
+                raise
+            searches[-1].complete = False
         if searches and not searches[-1].complete:
             break
     return _Assembly(usable, model, pool, searches, notes, progress).made(previous or {})

@@ -274,8 +274,9 @@ def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progr
     pool = [t for t in known.values() if t.id not in now.model.terms]
     progress(f"{PART_IN_WORDS[asked.part]}: screening the catalogue")
     found.screened = screen(asked.flown, now, pool)
-    # Blocks that hold a large effect vary with it, and the noise holds it, too: the score test says little of such a one.
-    level, odds = level_of(len(known)), log_odds_asked(len(known))
+    # The noise of an attitude lasts as long as what air does to it, and holds that until it is in the model: the score test of blocks says
+    # little of it.
+    level, odds = level_of(len(known)), math.inf if asked.part == "translation" else log_odds_asked(len(known))
     picks = [s for s in found.screened if s.p_value < level or s.nats > odds][:TRIED]
     estimated: list[tuple[Screened, FreeFlight]] = []
     for s in picks:

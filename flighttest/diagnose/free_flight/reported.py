@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from flighttest.channels import CHANNELS
-from flighttest.diagnose.findings import parameter_in_words
+from flighttest.diagnose.findings import parameter_in_words, with_owner
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations
 from flighttest.diagnose.free_flight.prediction import share_gained
 from flighttest.diagnose.free_flight.tables import pairs_of_flights, table_of, what_separates
@@ -47,10 +47,7 @@ def _finding(
     if named.term == WIND_TERM and len(search.winds) > 1:
         words = f"up to {max(w.speed for w in search.winds):.2g} m/s; each flight has its own"
     size = f"{named.size[channel]:.2g} {CHANNELS[channel].unit} RMS of {short(channel)}"
-    sentence = f"{term.plain} ({words}); {size} beside the rest of the model"
-    if term.family in ("autopilot", "sensor", "link"):
-        title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
-        sentence = f"This is your {term.family} ({title}): {sentence}"
+    sentence = with_owner(term, f"{term.plain} ({words}); {size} beside the rest of the model")
     rivals = tuple(Rival(r, TermVerdict.CONFUSABLE, 1.0, what_separates(r, named.term)) for r in named.rivals)
     if rivals:
         sentence += f"; {', '.join(r.term for r in rivals)} would explain it as well: {rivals[0].separated_by}"

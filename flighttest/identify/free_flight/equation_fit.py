@@ -75,11 +75,11 @@ def _with_errors(made: Fit, found: FreeFlight) -> Fit:
     reveals = {p.name: t.reveals for t in made.model.built_terms for p in t.params}
     for n in names:
         e, p, half = estimates[n], made.model.param[n], interval_factor(dof) * std[n]
-        known_std = std[n] if np.isfinite(std[n]) and n not in found.priors else None
+        # The coefficients of a term are there by what they do together, however wide the error of one.
+        assumed = n in found.priors and (p.kind != "amplitude" or p.off is None)
+        known_std = std[n] if np.isfinite(std[n]) and not assumed else None
         at_bound = not p.lower < e.value < p.upper
-        known = judge(
-            p, Estimated(e.value, known_std, n in found.priors, at_bound), made.voltage_spread_v, reveals.get(n, "")
-        )
+        known = judge(p, Estimated(e.value, known_std, assumed, at_bound), made.voltage_spread_v, reveals.get(n, ""))
         interval = None if known_std is None else (max(e.value - half, p.lower), min(e.value + half, p.upper))
         estimates[n] = Estimate(
             n, e.symbol, e.unit, e.value, known_std, interval, "fit" if known_std is not None else "assumed", known.identifiable,
@@ -98,16 +98,16 @@ def _with_errors(made: Fit, found: FreeFlight) -> Fit:
     )
 
 
-def _joined(loops: Covariance, names: Sequence[str], matrix: FloatArray, dof: float) -> Covariance:
+def _joined(first: Covariance, names: Sequence[str], matrix: FloatArray, dof: float) -> Covariance:
     """Covariance of parts of the model, which share no parameter."""
-    k, q = len(loops.names), len(names)
+    k, q = len(first.names), len(names)
 
     def both(a: FloatArray, b: FloatArray) -> FloatArray:
         whole = np.zeros((k + q, k + q))
         whole[:k, :k], whole[k:, k:] = a, b
         return whole
 
-    more = None if loops.discrepancy is None else both(loops.discrepancy, np.zeros((q, q)))
+    more = None if first.discrepancy is None else both(first.discrepancy, np.zeros((q, q)))
     return Covariance(
-        (*loops.names, *names), both(loops.matrix, matrix), both(loops.model, matrix), np.append(loops.dof, np.full(q, dof)), more,
+        (*first.names, *names), both(first.matrix, matrix), both(first.model, matrix), np.append(first.dof, np.full(q, dof)), more,
     )  # fmt: skip
