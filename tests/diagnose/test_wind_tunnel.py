@@ -26,7 +26,8 @@ def test_a_wind_is_named_where_the_fan_blew_and_its_interval_holds_that_of_the_f
 
 
 @pytest.mark.parametrize(
-    ("flight", "m_u", "m_w"), [("NF-T_nowind", 1.2, 0.0), ("L1_35wind", 2.0, 2.7), ("L1_70wind", 2.0, 2.7)]
+    ("flight", "m_u", "m_w"),
+    [("NF-T_nowind", 1.2, 0.0), ("NF-C_nowind", 1.8, 0.1), ("L1_35wind", 2.0, 2.7), ("L1_70wind", 2.0, 2.7)],
 )
 def test_moments_of_the_air_are_named_where_the_motors_trim_them(shared_data, repository, flight, m_u, m_w):
     """The motor commands, which no model here reads, make up for a moment by forward speed that is the same in wind and without, and for

@@ -11,7 +11,7 @@ from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.identify.fit import fit
 from flighttest.identify.free_flight import estimate, fit_free_flight, is_free_flight, stretches
 from flighttest.physics.model import Model
-from flighttest.segments.model import Segment, SegmentContext
+from flighttest.segments.model import Segment
 
 TRUTH = {"omega_phi": 9.0, "zeta_phi": 0.7, "omega_theta": 8.0, "zeta_theta": 0.8, "T_d_attitude": 0.05}
 DT, EVERY = 0.005, 4
@@ -129,22 +129,12 @@ def test_an_interrupt_while_the_loops_are_searched_keeps_the_translation(monkeyp
     assert {"K", "omega_phi"} <= set(found.after)
 
 
-def test_steps_by_hand_are_windows_of_the_flight_they_are_of():
-    """A pilot's steps at twenty places cut his flight in as many pieces, and output error was asked of what was left."""
+def test_a_flight_with_a_step_in_it_is_no_free_flight_alone():
     windows = piloted(60.0, 0)
-
-    def with_steps(every, by_hand=True):
-        context = SegmentContext(by_hand=by_hand)
-        step = {"kind": "roll_step", "cell": {"amplitude_rad": 0.1}, "context": context}
-        return [w if k % every else replace(w, **step) for k, w in enumerate(windows)]
-
+    step = replace(windows[3], kind="roll_step", cell={"amplitude_rad": 0.1})
     assert is_free_flight(windows)
-    assert is_free_flight(with_steps(6))
-    assert not is_free_flight(with_steps(3))
-    assert not is_free_flight(with_steps(6, by_hand=False))
+    assert not is_free_flight([*windows[:3], step, *windows[4:]])
     assert not is_free_flight(windows[:10])
-    first, second = (fit_free_flight(some, Model()).values for some in (windows, with_steps(6)))
-    assert all(first[n] == pytest.approx(second[n]) for n in TRUTH)
 
 
 def test_a_term_that_couples_the_axes_leaves_the_same_residuals():

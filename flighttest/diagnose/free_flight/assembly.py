@@ -39,7 +39,7 @@ from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.identify.fit import has_attitude_references
 from flighttest.identify.free_flight import FreeFlight, stretches
-from flighttest.identify.free_flight.equation_fit import as_windows, fit_of_estimates
+from flighttest.identify.free_flight.equation_fit import fit_of_estimates
 from flighttest.identify.free_flight.winds import WIND_TERM, in_still_air, wind_rows
 from flighttest.identify.selection import able
 from flighttest.physics.catalogue import catalogue
@@ -67,7 +67,7 @@ def diagnose_free_flight(
     model: the base; previous: its parameters, name to (value, std), where it was fitted before; weather: flight to 'still'; only: ids
     of the candidates. FitError where there is nothing to estimate from.
     """
-    usable = as_windows(segments)
+    usable = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
     flown = stretches(usable)
     model = replace(model, attitude_loops=has_attitude_references(usable))
     pool = tuple(

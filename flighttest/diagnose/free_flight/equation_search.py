@@ -196,14 +196,6 @@ def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str,
     return {c: float(np.sqrt(total / max(count, 1.0))) for c, (total, count) in squares.items()}
 
 
-def _nats_of(term: Term, richer: FreeFlight, poorer: FreeFlight) -> float:
-    """Quasi-log-likelihood that a term gains, by the variance inflation of its own parameters, less their penalty."""
-    own = {p.name for p in term.params}
-    at = [i for i, n in enumerate(richer.names) if n.split("@")[0] in own]
-    penalty = 0.5 * (len(richer.names) - len(poorer.names)) * float(np.log(max(richer.blocks, 2)))
-    return (richer.log_likelihood - poorer.log_likelihood) / richer.inflation_of(at) - penalty
-
-
 def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, flown: Sequence[Segment]) -> float:
     """p-value of a term: of its linear coefficients (`wald`); where it has none, of the quasi-likelihood ratio times the number of settings
     that the best was chosen from (Bonferroni), since a nonlinear parameter means nothing where its term is not (Davies 1977)."""
@@ -217,6 +209,11 @@ def _score(found: FreeFlight, richest: FreeFlight) -> float:
     """Quasi-log-likelihood less the penalty of the parameters, with the variance inflation of the richest model compared."""
     penalty = 0.5 * len(found.names) * float(np.log(max(richest.blocks, 2)))
     return found.log_likelihood / richest.inflation - penalty
+
+
+def _nats(richer: FreeFlight, poorer: FreeFlight) -> float:
+    """What `richer` gains in it."""
+    return _score(richer, richer) - _score(poorer, richer)
 
 
 def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term]) -> None:
@@ -253,7 +250,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term])
         if p >= level_of(len(known)):
             continue
         smaller = asked.estimate(tried.model.without_terms(one), _shared(tried.values))
-        nats, size = _nats_of(known[one], tried, smaller), effect_sizes(asked.streams(smaller), streams)
+        nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
         if not _against(_Trial(known[one], smaller, tried, nats, p, size), asked, len(known)):
             found.named[one] = NamedByEquations(one, nats, p, size)
 
@@ -297,18 +294,17 @@ def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progr
         term = known[s.term]
         size, p_value = effect_sizes(before, asked.streams(one)), significance(one, now, term, asked.flown)
         # Alone it takes up whatever tilts the vehicle: a wind is named beside what looks like it (`_wind_first`), or not at all.
-        gained = _nats_of(term, one, now)
-        trial = _Trial(term, now, one, gained, p_value, size)
+        trial = _Trial(term, now, one, nats, p_value, size)
         why = NOT_BESIDE if s.term == WIND_TERM else _against(trial, asked, len(known))
         if why:
             if s.term != WIND_TERM or WIND_TERM not in found.refused:  # what `_wind_first` found says more
-                found.refused[s.term] = (gained, why)
+                found.refused[s.term] = (nats, why)
             continue
         rivals = tuple(
             r.term for n, r, _ in tried if r is not s and nats - n < CHANCE_NATS and (n <= nats or r.term == WIND_TERM)
         )
         found.final = one
-        found.named[s.term] = NamedByEquations(s.term, gained, p_value, size, rivals)
+        found.named[s.term] = NamedByEquations(s.term, nats, p_value, size, rivals)
         found.refused.pop(s.term, None)
         for n, r, _ in tried[k + 1 :]:
             found.refused.setdefault(r.term, (n, f"{s.term} predicts better by {nats - n:.1f} nats"))

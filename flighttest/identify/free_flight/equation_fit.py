@@ -21,30 +21,23 @@ from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 LEAST_S = 30.0  # of stretches: below, 30 blocks of a second do not carry a sandwich over a dozen parameters
-MOSTLY = 0.75  # of the time: where steps by hand are more, they show more than what the stretches between them do
 
 
 def is_free_flight(segments: Sequence[Segment]) -> bool:
-    """Whether no script was flown in any usable segment, few steps by hand, and stretches of `LEAST_S` or more can be estimated from."""
+    """Whether every usable segment is a window of free flight, and stretches of `LEAST_S` or more can be estimated from.
+
+    Steps by hand among them show more by output error: of nine effects added to logs with a tenth of steps the innovations named none, of
+    eight output error had named seven.
+    """
     usable = [s for s in segments if s.usable]
-    if not usable or not all(s.steered for s in usable):
-        return False
-    whole, free = (
-        sum(float(np.ptp(s.t_s)) for s in some) for some in (usable, [s for s in usable if s.kind == "free"])
-    )
-    if free < MOSTLY * whole:
+    if not usable or any(s.kind != "free" for s in usable):
         return False
     return sum(float(np.ptp(s.t_s)) for s in stretches(usable)) >= LEAST_S
 
 
-def as_windows(segments: Sequence[Segment]) -> tuple[Segment, ...]:
-    """Usable segments of a free flight, steps by hand as windows like the others."""
-    return tuple(replace(s, kind="free", cell={}) for s in segments if s.usable and s.t_s.size >= 8)
-
-
 def fit_free_flight(segments: Sequence[Segment], model: Model) -> Fit:
     """Translation and attitude loops of a free flight (`is_free_flight`). FitError where the translation cannot be estimated."""
-    windows = as_windows(segments)
+    windows = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
     flown = stretches(windows)
     names = determined(flown, model)
     found = [estimate(flown, replace(model, attitude_loops=False), free=names)]

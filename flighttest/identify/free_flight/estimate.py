@@ -78,7 +78,7 @@ class FreeFlight:
     by which flights differ in it beyond their errors (in `covariance` already); inflation: median ratio of the robust variances to those of
     the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson 2002, section 2.5);
     blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between
-    the samples of the residual; of_noise: (q, q) covariance as if the noise were all.
+    the samples of the residual.
     """
 
     model: Model
@@ -98,17 +98,6 @@ class FreeFlight:
     blocks: int = 0
     part: str = "translation"
     period_s: float = 0.02
-    of_noise: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-
-    def inflation_of(self, at: Sequence[int]) -> float:
-        """By how much the variances of some parameters, at these positions, are larger than by the noise alone, at least 1: the mean
-        over directions, tr(C_noise^-1 C) / k, by which a gain of likelihood from these is to be divided (Rotnitzky and Jewell 1990)."""
-        some = np.ix_(at, at)
-        if not len(at) or not np.isfinite(self.covariance[some]).all() or not np.isfinite(self.of_noise[some]).all():
-            return self.inflation
-        scale = np.sqrt(np.diag(self.of_noise)[list(at)])
-        noise, whole = (c[some] / np.outer(scale, scale) for c in (self.of_noise, self.covariance))
-        return max(float(np.trace(np.linalg.pinv(noise, hermitian=True) @ whole)) / len(at), 1.0)
 
     def factor(self, level: float = 0.95) -> float:
         """Half an interval in standard errors (Student's t of the blocks of the covariance)."""
@@ -349,7 +338,7 @@ class _PredictionErrors:
             minimum.status.good, self.log_likelihood(self.cost(at)), leaning,
             {c: float(v) for c, v in zip(self.columns, spread, strict=True) if v > 0.0},
             _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1, self.asked.part,
-            self.equations.period_s, made.covariance,
+            self.equations.period_s,
         )  # fmt: skip
 
 

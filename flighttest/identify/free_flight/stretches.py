@@ -27,14 +27,14 @@ MEMORY_S, MEMORY_CHUNK_S = 20.0, 40.0
 
 
 def stretches(segments: Sequence[Segment]) -> list[Segment]:
-    """Usable windows of free flight and steps by hand of each recording, with attitude, velocity and throttle, those that adjoin joined."""
-    fit = [s for s in segments if s.usable and s.steered and s.t_s.size > 2 and _can(s)]
+    """Usable windows of free flight of each recording with attitude, velocity and throttle, those that adjoin joined."""
+    fit = [s for s in segments if s.usable and s.kind == "free" and s.t_s.size > 2 and _can(s)]
     groups: list[list[Segment]] = []
     for s in sorted(fit, key=lambda s: (s.run, s.t_s[0])):
         if groups:
             before = groups[-1][-1]
             period = float(np.median(np.diff(before.t_s)))
-            if before.run == s.run and s.t_s[0] - before.t_s[-1] <= JOIN_PERIODS * period:
+            if before.run == s.run and abs(s.t_s[0] - before.t_s[-1]) <= JOIN_PERIODS * period:
                 groups[-1].append(s)
                 continue
         groups.append([s])
@@ -66,7 +66,7 @@ def _joined(windows: Sequence[Segment]) -> Segment:
             u[name] = np.append(u[name][0], times[new]), np.append(u[name][1], values[new])
     head = windows[0]
     context = replace(head.context, voltage_samples=None)
-    return replace(head, name=f"{head.run} {t[0]:.0f} s", kind="free", cell={}, t_s=t, y=y, u=u, context=context)
+    return replace(head, name=f"{head.run} {t[0]:.0f} s", t_s=t, y=y, u=u, context=context)
 
 
 def sampling_period_s(flown: Sequence[Segment]) -> float:
