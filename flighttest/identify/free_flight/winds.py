@@ -14,7 +14,8 @@ import numpy as np
 
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.frames import G_M_S2, rotation_from_euler
-from flighttest.identify.free_flight import FreeFlight, estimate, stretches
+from flighttest.identify.free_flight.estimate import FreeFlight, estimate
+from flighttest.identify.free_flight.stretches import stretches
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
