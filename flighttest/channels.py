@@ -79,6 +79,10 @@ WORDS: dict[str, str] = {
 }
 # What holds its value until the next sample; everything else may be interpolated.
 HELD_GROUPS: frozenset[str] = frozenset({"reference", "shaped", "state"})
+# Of what an attitude loop is to follow, by its output.
+REFERENCE_OF: dict[str, str] = {
+    "roll_rad": "roll_ref_rad", "pitch_rad": "pitch_ref_rad", "r_rad_s": "yaw_rate_ref_rad_s",
+}  # fmt: skip
 INPUTS: tuple[str, ...] = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")
 
 

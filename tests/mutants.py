@@ -49,6 +49,7 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "diagnose/residuals/lack_of_fit.py": SELECTION,
     "diagnose/residuals/discrepancy.py": SELECTION,
     "diagnose/residuals/outlying.py": ("tests/diagnose/test_outlying.py",),
+    "identify/free_flight/loops.py": ("tests/identify/test_attitude_loops.py",),
     "estimation/gauss_newton.py": ("tests/estimation",),
     "estimation/likelihood_weights.py": ("tests/estimation",),
     "estimation/uncertainty/covariance.py": ("tests/estimation",),

@@ -22,6 +22,7 @@ COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as mot
 # A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is reported.
 MOVED, MOVED_ERRORS = 0.05, 4.0
 UNMOVED = "these flights do not move what it acts on"
+UNTRIED = "not looked for to the end: the search was interrupted"
 
 
 def verdict_of(any_named: bool, share: float, located: bool, still: bool) -> Verdict:

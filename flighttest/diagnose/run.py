@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose.block import SEED, Asked, BlockAnswer, answer, listed, merged
 from flighttest.diagnose.conclusion import (
     UNMOVED,
+    UNTRIED,
     compensated_voltage,
     different_delays,
     moved_parameters,
@@ -49,7 +50,6 @@ MOST_ASKED = 2  # questions of each block that a next flight is sought for: each
 # How much of the work each block is, roughly.
 SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
 SHAPE_ALONE = "times its usual size"
-UNTRIED = "not looked for to the end: the search was interrupted"
 
 SideBySide = Callable[[Callable[[Sequence[str]], list[BlockAnswer]], Sequence[str], Sequence[float]], list[BlockAnswer]]
 

@@ -8,13 +8,14 @@ these estimates; output error evaluates it over the windows.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flighttest.diagnose.block import SEED, merged
 from flighttest.diagnose.conclusion import (
     UNMOVED,
+    UNTRIED,
     compensated_voltage,
     moved_parameters,
     predicted_worse,
@@ -24,12 +25,11 @@ from flighttest.diagnose.conclusion import (
 from flighttest.diagnose.findings import parameter_table
 from flighttest.diagnose.free_flight.equation_search import PART_IN_WORDS, EquationSearch, find_terms
 from flighttest.diagnose.free_flight.prediction import groups_left_out, held_out_table
-from flighttest.diagnose.free_flight.reported import candidates_of, findings_of, notes_of_search, smallest_of
-from flighttest.diagnose.free_flight.tables import free_flight_floor, table_of
+from flighttest.diagnose.free_flight.reported import candidates_of, findings_of, notes_of_search, smallest_of, table_of
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, Located, Untestable, short
 from flighttest.diagnose.records import FloorRow, MapCell, Overlay, RegimeCurve
-from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
+from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels, why_unseen
@@ -93,7 +93,7 @@ def diagnose_free_flight(
             if not searches:
                 raise
             searches[-1].complete = False
-        if searches and not searches[-1].complete:
+        if not searches[-1].complete:
             break
     return _Assembly(usable, model, pool, searches, notes, progress).made(previous or {})
 
@@ -190,19 +190,23 @@ class _Assembly:
     def _not_tried(self, term: Term) -> Untestable:
         if missing := missing_channels(term, self.segments):
             return Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals, False)
-        in_equations = block_of(term) == "translation" and term.id not in self.found.offered
-        return Untestable(term.id, NO_COLUMN if in_equations else UNMOVED, term.reveals)
+        if block_of(term) == "translation" and term.id not in self.found.offered:
+            return Untestable(term.id, NO_COLUMN, term.reveals)
+        return Untestable(term.id, UNMOVED if self.complete else UNTRIED, term.reveals)
 
 
+@dataclass(frozen=True)
 class _Compared:
-    """Where one part of the model and the recordings differ, before and after its search: windows by output error, their own disturbances
-    found."""
+    """Where one part of the model and the recordings differ before its search (places, shares: of each channel's excess what stays) and
+    after (left); floor: what is noise of it."""
 
-    def __init__(self, places: list[Located], left: list[Located], shares: list[float], floor: NoiseFloor) -> None:
-        self.places, self.left, self.shares, self.floor = places, left, shares, floor
-        self.cells: list[MapCell] = []
-        self.curves: list[RegimeCurve] = []
-        self.overlaid: list[Overlay] = []
+    places: list[Located]
+    left: list[Located]
+    shares: list[float]
+    floor: NoiseFloor
+    cells: list[MapCell]
+    curves: list[RegimeCurve]
+    overlaid: list[Overlay]
 
     @classmethod
     def of(
@@ -214,19 +218,33 @@ class _Compared:
         final: Model,
     ) -> _Compared:
         """segments, model: before; air, final: after."""
-        before = _rows(segments, search.base, model)
-        after = _rows(air, search.final, final)
+        before, after = _rows(segments, search.base, model), _rows(air, search.final, final)
         floor = free_flight_floor(after, air)
         places = locate(before, segments, floor, SEED)
-        left = [p for p in locate(after, air, floor, SEED) if p.regime]
-        # Of mean squares above the floor, before and after, where they are: as the floor is what is left, often none.
+        # Of mean squares above the floor where they are: as the floor is what is left, often none.
         above, first, last = {p.channel for p in places}, excess(before, floor), excess(after, floor)
-        shares = [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
-        made = cls(places, left, shares, floor)
-        made.cells += residual_map(before, after, segments, floor)
-        made.curves += regime_curves(places, before, after, segments)
-        made.overlaid += overlays(before, after, segments)
-        return made
+        return cls(
+            places,
+            [p for p in locate(after, air, floor, SEED) if p.regime],
+            [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0],
+            floor,
+            residual_map(before, after, segments, floor),
+            regime_curves(places, before, after, segments),
+            overlays(before, after, segments),
+        )
+
+
+def free_flight_floor(rows: Linearisation, segments: Sequence[Segment]) -> NoiseFloor:
+    """The floor of free flight: what the final model leaves of each channel is its noise, whatever its spectrum.
+
+    What a variable orders in it is no noise, and is still found by `locate`. Never below what sensors resolve.
+    """
+    least = floor_of(rows, segments, RESOLUTION)
+    left = {
+        name: float(np.sqrt(np.mean(rows.unprofiled_residual[rows.channel == c] ** 2)))
+        for c, name in enumerate(rows.channels)
+    }
+    return NoiseFloor({c: max(v, left.get(c, 0.0)) for c, v in least.std.items()}, frozenset(), {})
 
 
 def _rows(segments: tuple[Segment, ...], found: FreeFlight, model: Model) -> Linearisation:

@@ -1,4 +1,4 @@
-"""What a search of free flight is reported as: findings, candidates, smallest sizes, notes."""
+"""What a search of free flight is reported as: findings, candidates, parameters, smallest sizes, notes."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ import numpy as np
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.findings import parameter_in_words, with_owner
-from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations
+from flighttest.diagnose.free_flight.equation_search import OFFSET_TERM, EquationSearch, NamedByEquations
 from flighttest.diagnose.free_flight.prediction import share_gained
-from flighttest.diagnose.free_flight.tables import pairs_of_flights, table_of, what_separates
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, short
 from flighttest.diagnose.records import CandidateRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.candidates import usual_size
 from flighttest.diagnose.selection.comparison import level_of, probability_of
 from flighttest.diagnose.selection.detectability import POWER
 from flighttest.estimation.uncertainty.distributions import normal_quantile
-from flighttest.identify.free_flight.winds import WIND_TERM
+from flighttest.identify.free_flight import FreeFlight
+from flighttest.identify.free_flight.winds import CHANCE, WIND_TERM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.core import Term
+from flighttest.physics.model import Model
 
 
 def findings_of(
@@ -137,3 +138,46 @@ def notes_of_search(search: EquationSearch) -> list[str]:
             f"at 0.1, 1 and {0.4 / period:.0f} Hz"
         )
     return notes + (pairs_of_flights(search) if search.final.part == "translation" else [])
+
+
+def pairs_of_flights(found: EquationSearch) -> list[str]:
+    """Pairs of flights that would part what these could not."""
+    said = []
+    if found.winds and not found.turned and not found.declared:
+        said.append(
+            "a wind and an attitude offset tilt the vehicle alike at one heading: a second flight at another heading, or one in still air "
+            "(--weather FLIGHT=still), diagnosed together with this one separates them"
+        )
+    offered = {*found.offered} - {*found.named}
+    if "ground_effect" in offered and not any(s.term == "ground_effect" and s.p_value < CHANCE for s in found.screened):
+        said.append(
+            "ground effect shows between a low and a high flight: hover below one rotor diameter and above three, diagnosed together"
+        )
+    if len(found.final.flights) == 1:
+        said.append(
+            "a payload shows as K of a loaded over K of an unloaded flight of the same battery: diagnose the one with the other's --model"
+        )
+    return said
+
+
+def table_of(found: FreeFlight, model: Model | None) -> dict[str, ParameterRow]:
+    """Estimated parameters as rows; `model` None: those of single flights, too."""
+    rows: dict[str, ParameterRow] = {}
+    factor = found.factor()
+    for n, std in found.std.items():
+        if model is not None and n not in model.names:
+            continue
+        value, p = found.values[n], found.model.param[n.split("@")[0]]
+        if np.isfinite(std):
+            rows[n] = {
+                "value": value, "std": std, "unit": p.unit, "interval_95": [value - factor * std, value + factor * std],
+                "scatter": std,
+            }  # fmt: skip
+    return rows
+
+
+def what_separates(rival: str, term: str) -> str:
+    """The flight that separates two terms."""
+    if {rival, term} == {WIND_TERM, OFFSET_TERM}:
+        return "fly a second heading, or declare a flight in still air"
+    return f"fly {catalogue()[rival].reveals}"

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from flighttest.channels import REFERENCE_OF
 from flighttest.diagnose.model import short
 from flighttest.diagnose.selection.comparison import Fitted
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.segments.model import Segment
-
-REFERENCE = {"roll_rad": "roll_ref_rad", "pitch_rad": "pitch_ref_rad", "r_rad_s": "yaw_rate_ref_rad_s"}
 
 
 def baselines(
@@ -41,8 +40,8 @@ def baselines(
             sample = rows.sample[at][rows.segment[at] == i]
             y = np.asarray(segment.y[name])[sample]
             standing.append(y - y[: min(4, y.size)].mean())
-            if name in REFERENCE and REFERENCE[name] in segment.u:
-                late.append(y - zero_order_hold(segment.u[REFERENCE[name]], segment.t_s[sample] - delay[name]))
+            if name in REFERENCE_OF and REFERENCE_OF[name] in segment.u:
+                late.append(y - zero_order_hold(segment.u[REFERENCE_OF[name]], segment.t_s[sample] - delay[name]))
         entry = {"hold the first value": _rmse(np.concatenate(standing))}
         if late:
             entry["only the delay"] = _rmse(np.concatenate(late))

@@ -10,7 +10,7 @@ import numpy as np
 
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.estimator import part_of
-from flighttest.identify.free_flight.loops import MEANS_S, LoopEquations
+from flighttest.identify.free_flight.loops import ATTITUDE_MEANS_S, LoopEquations
 from flighttest.identify.free_flight.stretches import sampling_period_s
 from flighttest.identify.free_flight.translation import TranslationEquations
 from flighttest.identify.selection import able
@@ -36,7 +36,7 @@ class Equations:
     def period_s(self) -> float:
         """Time between the samples of the residuals."""
         sampled = sampling_period_s(self.flown)
-        return sampled if self.part == "translation" else max(sampled, MEANS_S)
+        return sampled if self.part == "translation" else max(sampled, ATTITUDE_MEANS_S)
 
     @cached_property
     def params(self) -> tuple[str, ...]:

@@ -1,14 +1,16 @@
-"""Free flight by equation error: the translation at the measured attitude and velocity, an hour of flight in seconds.
+"""Free flight by prediction errors: the translation at the measured attitude and velocity (equation error), the attitude loops as their
+references alone make them (`loops`); an hour of flight in seconds.
 
     flown = stretches(segments)                      # windows of free flight joined
     found = estimate(flown, Model())                 # K, alpha, drag, lag and delay with errors
+    found = estimate(flown, Model(), part="roll_pitch")     # natural frequencies, dampings and delay of roll and pitch
     found = estimate(flown, Model() + "steady_wind", per_flight=("w_north", "w_west"))   # one wind per flight, drag shared
 
-Where an accelerometer was recorded, its three axes are the equations; else the increments of velocity, world axes, against the mean of the
-modelled acceleration at both ends. Both are compared over whole stretches, without initial states and without integration of the velocity,
-so that a gust is noise of its own moment and of no later one. The noise is autoregressive and estimated (`estimation.equation_error`),
-which keeps estimates consistent where a pilot or a position loop answers gusts, as long as the model is driven by the past alone: by
-commands, which act after a delay, and by the velocity predicted from the samples before.
+Of the translation, where an accelerometer was recorded, its three axes are the equations; else the increments of velocity, world axes,
+against the mean of the modelled acceleration at both ends. Both are compared over whole stretches, without initial states and without
+integration of the velocity, so that a gust is noise of its own moment and of no later one. The noise is autoregressive and estimated
+(`estimation.equation_error`), which keeps estimates consistent where a pilot or a position loop answers gusts, as long as the model is
+driven by the past alone: by commands, which act after a delay, and by the velocity predicted from the samples before.
 """
 
 from __future__ import annotations
@@ -77,8 +79,7 @@ class FreeFlight:
     seconds: of flight used; priors: names whose error is mostly the prior's; spread: by name of a shared parameter, the standard deviation
     by which flights differ in it beyond their errors (in `covariance` already); inflation: median ratio of the robust variances to those of
     the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson 2002, section 2.5);
-    blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between
-    the samples of the residual.
+    blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between the samples of the residual.
     """
 
     model: Model
@@ -92,12 +93,12 @@ class FreeFlight:
     iterations: int
     converged: bool
     log_likelihood: float
+    part: str
+    period_s: float
     priors: frozenset[str] = frozenset()
     spread: Mapping[str, float] = field(default_factory=dict)
     inflation: float = 1.0
     blocks: int = 0
-    part: str = "translation"
-    period_s: float = 0.02
 
     def factor(self, level: float = 0.95) -> float:
         """Half an interval in standard errors (Student's t of the blocks of the covariance)."""
@@ -335,10 +336,10 @@ class _PredictionErrors:
             self.asked.model, self.columns, self.values(at.theta), covariance, self.noise,
             {c: float(np.sqrt(np.mean(r**2))) for c, r in every.items()},
             float(sum(s.t_s[-1] - s.t_s[0] for s in self.equations.flown)), self.equations.flights, minimum.iterations,
-            minimum.status.good, self.log_likelihood(self.cost(at)), leaning,
+            minimum.status.good, self.log_likelihood(self.cost(at)), self.asked.part,
+            self.equations.period_s, leaning,
             {c: float(v) for c, v in zip(self.columns, spread, strict=True) if v > 0.0},
-            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1, self.asked.part,
-            self.equations.period_s,
+            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1,
         )  # fmt: skip
 
 

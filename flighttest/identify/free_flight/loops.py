@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from flighttest.identify.free_flight.residual import FloatArray, Residual
-from flighttest.identify.free_flight.stretches import Chunks, unbroken
+from flighttest.channels import REFERENCE_OF
+from flighttest.identify.free_flight.stretches import Chunks, FloatArray, Residual, unbroken
 from flighttest.identify.selection import changes
 from flighttest.physics.blocks import AXES, Block
 from flighttest.physics.model import Model
@@ -22,8 +22,7 @@ from flighttest.segments.model import Segment
 
 # Attitudes are compared as means over this long. What they do faster, at four times the bandwidth of the loops and more, is filters, motors
 # and the sampling of references, which the equations do not have: the innovations of 50 Hz, whose noise is least there, are mostly these.
-MEANS_S = 0.1
-REFERENCE_OF = {"roll_rad": "roll_ref_rad", "pitch_rad": "pitch_ref_rad", "r_rad_s": "yaw_rate_ref_rad_s"}
+ATTITUDE_MEANS_S = 0.1
 
 
 class LoopEquations:
@@ -58,7 +57,7 @@ class LoopEquations:
                 # A log may have written attitudes less often than rates: their samples are a series of their own.
                 seen = np.flatnonzero(np.isfinite(self.measured[k][:, c]))
                 good = np.isfinite(residual[seen, c]) & np.isfinite(slopes[seen, c]).all(axis=1)
-                many = max(round(MEANS_S / float(np.median(np.diff(t[seen])))), 1) if seen.size > 1 else 1
+                many = max(round(ATTITUDE_MEANS_S / float(np.median(np.diff(t[seen])))), 1) if seen.size > 1 else 1
                 for a, b in unbroken(t[seen], good):
                     own, along, of = (_means(one[seen[a:b]], many) for one in (residual[:, c], slopes[:, c], state))
                     if len(own):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,16 @@ def _joined(windows: Sequence[Segment]) -> Segment:
     head = windows[0]
     context = replace(head.context, voltage_samples=None)
     return replace(head, name=f"{head.run} {t[0]:.0f} s", t_s=t, y=y, u=u, context=context)
+
+
+class Residual(NamedTuple):
+    """What one equation leaves over a stretch. channel; residual (n,) measured less modelled; slopes (n, q) derivatives of the modelled by
+    the parameters asked for; state (n, k) that the equation may be wrong as a function of (`estimation.equation_error.lack_of_fit`)."""
+
+    channel: str
+    residual: FloatArray
+    slopes: FloatArray
+    state: FloatArray
 
 
 def sampling_period_s(flown: Sequence[Segment]) -> float:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import G_M_S2, rotation_from_euler
-from flighttest.identify.free_flight.residual import Residual
-from flighttest.identify.free_flight.stretches import Chunks, unbroken
+from flighttest.identify.free_flight.stretches import Chunks, Residual, unbroken
 from flighttest.physics.blocks import ACCELERATION, FORCE, VELOCITY
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment

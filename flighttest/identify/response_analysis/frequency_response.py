@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.channels import REFERENCE_OF
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.identify.fit import Fit
 from flighttest.identify.response_analysis.comparison import pieces
@@ -118,8 +119,9 @@ def residual_correlations(found: Fit) -> tuple[ResidualCorrelation, ...]:
 
 def _command_of(channel: str) -> str:
     """The command whose change an output answers first."""
-    direct = {"roll_rad": "roll_ref_rad", "pitch_rad": "pitch_ref_rad", "r_rad_s": "yaw_rate_ref_rad_s",
-              "v_x_m_s": "pitch_ref_rad", "f_x_m_s2": "pitch_ref_rad", "v_y_m_s": "roll_ref_rad", "f_y_m_s2": "roll_ref_rad"}  # fmt: skip
+    direct = REFERENCE_OF | {
+        "v_x_m_s": "pitch_ref_rad", "f_x_m_s2": "pitch_ref_rad", "v_y_m_s": "roll_ref_rad", "f_y_m_s2": "roll_ref_rad",
+    }  # fmt: skip
     return direct.get(channel, "throttle")
 
 
