@@ -173,7 +173,7 @@ GLOSSARY = (
     Entry(
         "sparse regression",
         "residual regression: the shape of what no catalogue entry fits, as few functions of the state",
-        "diagnose/residual_regression.py",
+        "diagnose/output_error/residual_regression.py",
         "Brunton, Proctor, Kutz 2016",
     ),
     Entry("specific force", "what an accelerometer measures: acceleration without gravity", "channels.py"),

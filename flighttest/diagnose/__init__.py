@@ -6,6 +6,6 @@ found.verdict, found.findings, found.to_json()
 """
 
 from flighttest.diagnose.model import Diagnosis, Finding, Located, TermVerdict, Verdict
-from flighttest.diagnose.run import diagnose
+from flighttest.diagnose.run import Support, diagnose
 
-__all__ = ["Diagnosis", "Finding", "Located", "TermVerdict", "Verdict", "diagnose"]
+__all__ = ["Diagnosis", "Finding", "Located", "Support", "TermVerdict", "Verdict", "diagnose"]

@@ -1,20 +1,11 @@
-"""A term that joined the model, as a finding: parameters with intervals, held-out gain, probability, what is confusable with it."""
+"""Parameters and findings in tables and words, whichever way they were found."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
-from flighttest.diagnose.records import HeldOutRow, ParameterRow
-from flighttest.diagnose.selection.aliases import aliases_of
-from flighttest.diagnose.selection.candidates import null_value
-from flighttest.diagnose.selection.comparison import Evidence
-from flighttest.diagnose.selection.held_out import gains_held_out
-from flighttest.diagnose.selection.search import Search
-from flighttest.estimation.linearisation import FloatArray, IntArray
-from flighttest.estimation.uncertainty.distributions import chi2_beyond
+from flighttest.diagnose.model import brief
+from flighttest.diagnose.records import ParameterRow
 from flighttest.identify.fit import Fit
 from flighttest.physics.core import Term
 
@@ -39,93 +30,12 @@ def parameter_table(found: Fit) -> dict[str, ParameterRow]:
     return table
 
 
-def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], groups: IntArray, seed: int) -> Finding:
-    """One accepted term against the same model without it. table: parameters of the final model (`parameter_table`)."""
-    assert search.now is not None
-    assert search.floor is not None
-    term, evidence = search.terms[term_id], search.evidence[term_id]
-    without = evidence.without
-    before, after = without.held_out(groups), search.now.held_out(groups)
-    heldout = {
-        short(name): HeldOutRow(
-            rmse_before=h.rmse_before, rmse_after=h.rmse_after, floor=h.floor, gain_95=list(h.gain_95)
-        )
-        for name, h in gains_held_out(before, after, groups, search.floor, seed).items()
-    }
-    parameters = {n: v for n, v in table.items() if search.now.model.term_of(n) == term_id}
-    rivals = tuple(
-        Rival(
-            a.term,
-            TermVerdict.CONFUSABLE if a.confusable else TermVerdict.NOT_NEEDED,
-            a.cosine,
-            search.terms[a.term].reveals,
-        )
-        for a in aliases_of(search, term_id)
-    )
-    confusable = [r for r in rivals if r.verdict == TermVerdict.CONFUSABLE]
-    numbers = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
-    sentence = (
-        f"{term.plain} ({numbers}); {brief(evidence.floors)} noise floors in {short(evidence.place[0])} of {flown(evidence.place[1])}; "
-        f"probability {_percent(evidence.probability)}{undetermined_sizes(term, parameters)}"
-    )
-    sentence = with_owner(term, sentence)
-    if confusable:
-        others = ", ".join(r.term for r in confusable)
-        sentence += f"; {others} would explain it as well, fly {confusable[0].separated_by} to separate them"
-    return Finding(
-        term=term_id,
-        title=term.title,
-        family=term.family,
-        verdict=TermVerdict.CONFUSABLE if confusable else TermVerdict.SUPPORTED,
-        equation=term.equation,
-        plain=term.plain,
-        parameters=parameters,
-        heldout=heldout,
-        evidence={
-            "delta_bic": -2.0 * evidence.nats,
-            "log_evidence": evidence.nats,
-            "probability": evidence.probability / (1 + len(confusable)),
-            "floors": evidence.floors,
-            "where": {"channel": short(evidence.place[0]), "kind": evidence.place[1]},
-            "heldout_gain": held_out_gain(heldout, evidence),
-            "p_value": chi2_beyond(max(2.0 * evidence.nats, 0.0), max(len(parameters), 1)),
-            "rms_force_m_s2": _rms_force(search, evidence.effect),
-            "rms_force_left_m_s2": _rms_force(search, evidence.profiled),
-        },
-        rivals=rivals,
-        sentence=sentence,
-        source=term.source,
-        doubt=term.doubt,
-    )
-
-
 def with_owner(term: Term, sentence: str) -> str:
     """A sentence about a term, which begins with whose the term is where it is no physics of the vehicle."""
     if term.family not in ("autopilot", "sensor", "link"):
         return sentence
     title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
     return f"This is your {term.family} ({title}): {sentence}"
-
-
-def undetermined_sizes(term: Term, parameters: Mapping[str, ParameterRow]) -> str:
-    """That the interval of every coefficient of a named term contains its absence, in words; empty where one does not. They are
-    exchanged with one another, or with the rest of the model: absence of all is excluded by the likelihood ratio."""
-    held = [(null_value(p), parameters[p.name]["interval_95"]) for p in term.amplitudes if p.name in parameters]
-    if not held or not all(low <= null <= high for null, (low, high) in held):
-        return ""
-    of = "its coefficient" if len(held) == 1 else "each coefficient"
-    return f"; its absence is excluded, although the interval of {of} contains it: sizes are determined together, not one by one"
-
-
-def held_out_gain(heldout: Mapping[str, HeldOutRow], evidence: Evidence) -> float:
-    """Of the held-out mean square above the noise floor, in the channel where the term shows most, the share that is gone with it."""
-    h = heldout[short(evidence.place[0])]
-    above = h["rmse_before"] ** 2 - h["floor"] ** 2
-    return float((h["rmse_before"] ** 2 - h["rmse_after"] ** 2) / above) if above > 0 else 0.0
-
-
-def _percent(probability: float) -> str:
-    return "above 99.9 %" if probability > 0.999 else f"{100 * probability:.1f} %"
 
 
 def parameter_in_words(name: str, row: ParameterRow) -> str:
@@ -137,12 +47,3 @@ def parameter_in_words(name: str, row: ParameterRow) -> str:
     if not np.isclose(high - value, value - low, rtol=0.01):
         return f"{name} {value:.3g}{unit}, 95 % interval {low:.3g} to {high:.3g}"
     return f"{name} {value:.3g} ± {brief(0.5 * (high - low))}{unit}"
-
-
-def _rms_force(search: Search, effect: FloatArray) -> float | None:
-    """RMS over all samples of an effect on specific force (3 axes), m/s^2; None without that channel."""
-    assert search.now is not None
-    rows = search.now.rows
-    forces = [c for c, name in enumerate(rows.channels) if name.startswith(("f_", "a_"))]
-    powers = [float(np.mean(effect[at] ** 2)) for c in forces if (at := np.flatnonzero(rows.channel == c)).size]
-    return float(np.sqrt(sum(powers))) if forces else None

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.block import SEED, Asked, BlockAnswer, answer, listed, merged
+from flighttest.diagnose.answer import Asked, PartAnswer, listed, merged
 from flighttest.diagnose.conclusion import (
     UNMOVED,
     UNTRIED,
@@ -23,12 +22,14 @@ from flighttest.diagnose.conclusion import (
     unrecorded_battery,
     verdict_of,
 )
-from flighttest.diagnose.findings import finding, parameter_table
+from flighttest.diagnose.findings import parameter_table
+from flighttest.diagnose.free_flight import by_prediction_errors
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
+from flighttest.diagnose.model import Diagnosis, Finding, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
-from flighttest.diagnose.records import CandidateRow, Description, NextReason
-from flighttest.diagnose.residual_regression import describe
+from flighttest.diagnose.output_error import OutputErrorAnswer, by_output_error
+from flighttest.diagnose.output_error.residual_regression import describe
+from flighttest.diagnose.records import CandidateRow, Description, NextReason, SetAside
 from flighttest.diagnose.residuals.outlying import set_aside
 from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels
 from flighttest.diagnose.selection.held_out import held_out_groups
@@ -38,6 +39,9 @@ from flighttest.estimation.estimator import BLOCKS
 from flighttest.estimation.solver import Start
 from flighttest.identify.diagnostics.local_optima import misfit
 from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
+from flighttest.identify.free_flight import parts_by_prediction_errors
+from flighttest.identify.free_flight.equation_fit import LOOPS, fit_of_estimates
+from flighttest.identify.free_flight.winds import WIND_TERM, FlightWind, in_still_air, still_air, wind_rows
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -51,14 +55,23 @@ MOST_ASKED = 2  # questions of each block that a next flight is sought for: each
 SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
 SHAPE_ALONE = "times its usual size"
 
-SideBySide = Callable[[Callable[[Sequence[str]], list[BlockAnswer]], Sequence[str], Sequence[float]], list[BlockAnswer]]
+Work = Callable[[Sequence[str]], list[PartAnswer]]
+SideBySide = Callable[[Work, Sequence[str], Sequence[float]], list[PartAnswer]]
 
 
-def one_after_the_other(
-    work: Callable[[Sequence[str]], list[BlockAnswer]], items: Sequence[str], _shares: Sequence[float]
-) -> list[BlockAnswer]:
+def one_after_the_other(work: Work, items: Sequence[str], _shares: Sequence[float]) -> list[PartAnswer]:
     """All the work in this process."""
     return work(items)
+
+
+@dataclass(frozen=True)
+class Support:
+    """What a caller supports a diagnosis with. progress: receives a sentence on each stage; side_by_side(work, items, shares of the work): a way to run
+    work(items), one result per item, in more than one process; flyable: what of a maneuver the vehicle's zone has space for."""
+
+    progress: Callable[[str], None] = silent
+    side_by_side: SideBySide = one_after_the_other
+    flyable: Flyable = as_shipped
 
 
 def diagnose(
@@ -66,18 +79,17 @@ def diagnose(
     model: Model | None = None,
     *,
     previous: Mapping[str, tuple[float, float | None]] | None = None,
+    weather: Mapping[str, str] | None = None,
     only: Sequence[str] | None = None,
-    progress: Callable[[str], None] | None = None,
-    side_by_side: SideBySide = one_after_the_other,
-    flyable: Flyable = as_shipped,
+    support: Support = Support(),
 ) -> Diagnosis:
     """Locate what the model misses in these recordings and name it.
 
-    segments: of one vehicle, from one or several recordings, marked steps or windows of free flight. model: the base (default:
-    the paper's). previous: its parameters, name to (value, std), to compare with a former state of the vehicle. only: ids of the
-    candidates (default: the whole catalogue). side_by_side(work, items, shares of the work): a way to run work(items), one result per
-    item, in more than one process. flyable: what of a maneuver the vehicle's zone has space for. FitError when there is too little for any
-    answer. An interrupt (KeyboardInterrupt) ends the search and returns what is known, with complete=False.
+    segments: of one vehicle, from one or several recordings, marked steps or windows of free flight; which parts of the model are
+    estimated by prediction errors, and which by output error, depends on who flew (`parts_by_prediction_errors`). model: the base
+    (default: the paper's). previous: its parameters, name to (value, std), to compare with a former state of the vehicle. weather: flight
+    to 'still' or 'unknown'. only: ids of the candidates (default: the whole catalogue). FitError when there is too little for any answer.
+    An interrupt (KeyboardInterrupt) ends the search and returns what is known, with complete=False.
     """
     usable = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
     if len(usable) < LEAST_SEGMENTS:
@@ -89,37 +101,43 @@ def diagnose(
         model = default_model(usable)
     if model.attitude_loops and not has_attitude_references(usable):
         model = replace(model, attitude_loops=False)
-    pool = _pool(model, only)
-    say = progress or silent
-    say("fitting the base model")
-    base = _fitted(usable, model, {k: v[0] for k, v in (previous or {}).items()})
-    kept, aside = set_aside(usable, base.start.nuisance)
-    if aside:
-        base = _fitted(kept, model, base.values)
-    groups, group_name = held_out_groups(kept)
-    asked = Asked(kept, model, pool, base, groups, previous or {}, say)
-    blocks = [b for b in BLOCKS if b == "translation" or model.attitude_loops]
+    own = parts_by_prediction_errors(usable)
+    # The loops of free flight are searched in the frame of the air that the translation shows.
+    order, way = (own, one_after_the_other) if "translation" in own else (BLOCKS, support.side_by_side)
+    blocks = [b for b in order if b == "translation" or model.attitude_loops]
+    say, kept, aside = support.progress, usable, SetAside()
+    base = None if set(blocks) <= {*own} else _base(usable, model, own, previous or {}, say)
+    if base is not None:
+        kept, aside = set_aside(usable, base.start.nuisance)
+        if aside:
+            base = _fitted(kept, base.model, base.values)
+    still = {s.run for s in kept} <= still_air(weather)[0]
+    pool = tuple(t for t in _pool(model, only) if not (still and t.id == WIND_TERM))
+    asked = Asked(kept, model, pool, base, *held_out_groups(kept), previous or {}, weather or {}, say)
 
-    def search(some: Sequence[str]) -> list[BlockAnswer]:
-        answers: list[BlockAnswer] = []
+    def search(some: Sequence[str]) -> list[PartAnswer]:
+        answers: list[PartAnswer] = []
         for block in some:
+            winds = answers[0].winds if answers else ()
             try:
-                answers.append(answer(block, asked))
+                answers.append(
+                    by_prediction_errors(block, asked, winds) if block in own else by_output_error(block, asked)
+                )
             except KeyboardInterrupt:
-                answers.append(BlockAnswer(complete=False))
+                answers.append(PartAnswer(complete=False))
             if not answers[-1].complete:
                 break
-        return answers + [BlockAnswer(complete=False) for _ in some[len(answers) :]]
+        return answers + [PartAnswer(complete=False) for _ in some[len(answers) :]]
 
-    answers = side_by_side(search, blocks, [SHARES[b] for b in blocks])
-    if not any(a.search for a in answers):
+    answers = way(search, blocks, [SHARES[b] for b in blocks])
+    if not any(type(a) is not PartAnswer for a in answers):
         if not all(a.complete for a in answers):
             raise KeyboardInterrupt  # before anything was known
         raise FitError(
             "no reference moves in any of the responses, so that no part of the model can be tried",
             "a diagnosis needs recorded references: throttle, roll, pitch or yaw rate",
         )
-    found = _assembled(asked, answers, group_name, flyable)
+    found = _assembled(asked, answers, support.flyable)
     if not aside:
         return found
     return replace(found, sentence=f"{found.sentence} {pushed_once(len(aside['segments']))}", set_aside=aside)
@@ -129,6 +147,24 @@ def _pool(model: Model, only: Sequence[str] | None) -> tuple[Term, ...]:
     """Candidates: terms of the catalogue that the base does not hold."""
     known = (t for t in catalogue().values() if t.id not in model.terms and block_of(t) != "delay")
     return tuple(t for t in known if only is None or t.id in only)
+
+
+def _base(
+    segments: Sequence[Segment],
+    model: Model,
+    own: Sequence[str],
+    previous: Mapping[str, tuple[float, float | None]],
+    say: Callable[[str], None],
+) -> Fit | None:
+    """The parts of the base model that are not by prediction errors (own); None where nothing moves any of them."""
+    say("fitting the base model")
+    loops = model.attitude_loops and not {*LOOPS} & {*own}
+    try:
+        return _fitted(segments, replace(model, attitude_loops=loops), {k: v[0] for k, v in previous.items()})
+    except FitError:
+        if not own:
+            raise
+        return None
 
 
 def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float]) -> Fit:
@@ -142,34 +178,34 @@ def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float
     return min(found, other, key=lambda f: misfit(f.problem, f.solution))
 
 
-def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, flyable: Flyable) -> Diagnosis:
-    """One diagnosis of the blocks' answers."""
-    segments, model, pool = asked.segments, asked.model, asked.pool
-    searches = [a.search for a in answers if a.search is not None]
+def _assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> Diagnosis:
+    """One diagnosis of the parts' answers."""
+    model, pool = asked.model, asked.pool
+    searches = [a.search for a in answers if isinstance(a, OutputErrorAnswer)]
     complete = all(a.complete for a in answers)
-    accepted = tuple(sorted((t for s in searches for t in s.evidence), key=lambda t: _nats(searches, t), reverse=True))
-    final = model.with_terms(*accepted)
+    nats = merged(a.accepted for a in answers)
+    accepted = tuple(sorted(nats, key=lambda t: nats[t], reverse=True))
+    joined = {t for a in answers for t in a.terms}
+    final = model.with_terms(
+        *(t for t in accepted if t in joined), *(t for a in answers for t in a.terms if t not in nats)
+    )
+    winds = next((a.winds for a in answers if a.winds), ())
     asked.tell(f"fitting {' + '.join(final.terms)}")
-    final_fit = _final_fit(asked, searches, final)
-    before, after = parameter_table(asked.base), parameter_table(final_fit)
-    findings = [
-        finding(search, term, after, asked.groups, SEED)
-        for term in accepted
-        for search in searches
-        if term in search.evidence
-    ]
+    final_fit = _final_fit(asked, answers, searches, final, winds)
+    before = merged([parameter_table(asked.base) if asked.base else {}, *(a.before for a in answers)])
+    after = parameter_table(final_fit)
+    findings = sorted((f for a in answers for f in a.findings(asked, after)), key=lambda f: accepted.index(f.term))
     located, levels = listed(answers, "located"), merged(a.levels for a in answers)
-    tried = {t.id for a in answers if a.complete and a.search for t in a.search.pool}
-    unseen = _not_testable(asked, answers, tried | set(accepted), complete)
+    tried = {t for a in answers for t in a.tried}
+    unseen = _not_testable(asked, answers, tried, complete)
     hidden = {u.term: u.why for u in unseen}
     units = {p.name: p.unit for t in pool for p in t.params}
-    named = {f.term for f in findings} | set(hidden)
-    shares = listed(answers, "shares")  # channels count alike, whatever their floors
-    share = float(np.mean(shares)) if shares else 0.0
     staying = {c for a in answers for c in a.staying}
+    shares = listed(answers, "shares")  # channels count alike, whatever their floors
+    share = float(np.mean(shares)) if shares else float(bool(staying))
     so_far = verdict_of(bool(findings), share, bool(located), bool(staying))
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
-    nameless = so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)
+    nameless = searches and so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)
     formulas = _described(asked, searches, staying) if nameless else []
     asked.tell("choosing the next flight")
     catalogued = {t.id: t for t in pool}
@@ -183,10 +219,10 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
         sentence=sentence_of(so_far, findings, share, located, complete)
         + predicted_worse(merged(a.heldout for a in answers))
         + moved_parameters(asked.previous, after)
-        + unlike_flights(_pushes(final_fit)),
+        + unlike_flights(_pushes(final_fit) if searches else {}),
         located=tuple(located),
         findings=tuple(findings),
-        not_needed=tuple(sorted(tried - named)),
+        not_needed=tuple(sorted(tried - {*accepted, *hidden})),
         untestable=tuple(unseen),
         unexplained={"excess_share": float(min(share, 1.0)) if located else 0.0},
         smallest_detectable={k: v for k, (v, _) in levels.items() if np.isfinite(v) and hidden.get(k) != UNSEEN},
@@ -194,6 +230,7 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
         model=final,
         values={k: v for k, v in final_fit.values.items() if k in final.names},
         fit=final_fit,
+        estimates=tuple(a.estimate for a in answers if a.estimate),
         accepted=accepted,
         before=before,
         after=after,
@@ -206,7 +243,7 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
         regimes=tuple(listed(answers, "curves")),
         overlays=tuple(listed(answers, "overlaid")),
         candidates=_candidate_rows(answers, hidden),
-        cost={"added_parameters": len(after) - len(before), "held_out_groups": group_name},
+        cost={"added_parameters": len(after) - len(before), "held_out_groups": asked.group_name},
         unknown=tuple(formulas),
         mass=mass_test(asked.previous, {n: (row["value"], row["scatter"]) for n, row in after.items()}),
         next_flight="next.yaml" if proposal else None,
@@ -217,10 +254,11 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
             *cut_short,
             *different_delays(after),
             *compensated_voltage(after),
-            *unrecorded_battery(located, any(np.isfinite(s.y.get("voltage_v", np.nan)).any() for s in segments)),
+            *unrecorded_battery(located, any(np.isfinite(s.y.get("voltage_v", np.nan)).any() for s in asked.segments)),
         ),
         complete=complete,
-        runs=tuple(dict.fromkeys(s.run for s in segments)),
+        runs=tuple(dict.fromkeys(s.run for s in asked.segments)),
+        winds=tuple(wind_rows(winds, still_air(asked.weather)[0])),
     )
 
 
@@ -235,7 +273,7 @@ def _pushes(found: Fit) -> dict[str, NDArray[np.float64]]:
 
 
 def _not_testable(
-    asked: Asked, answers: Sequence[BlockAnswer], determined: Collection[str], complete: bool
+    asked: Asked, answers: Sequence[PartAnswer], determined: Collection[str], complete: bool
 ) -> list[Untestable]:
     """Candidates on which these flights contain no information, with the reason. determined: ids of those that were tried or named."""
     found: list[Untestable] = listed(answers, "unseen")
@@ -256,7 +294,7 @@ def _described(asked: Asked, searches: Sequence[Search], staying: set[str]) -> l
     return [one for search in searches for one in describe(search, asked.segments, asked.groups, channels)]
 
 
-def _candidate_rows(answers: Sequence[BlockAnswer], hidden: Mapping[str, str]) -> tuple[CandidateRow, ...]:
+def _candidate_rows(answers: Sequence[PartAnswer], hidden: Mapping[str, str]) -> tuple[CandidateRow, ...]:
     """Rows of every candidate; what these flights could not have shown (hidden: id to reason) was not ruled out by them."""
     return tuple(
         CandidateRow({**c, "verdict": TermVerdict.UNTESTABLE, "why": hidden[c["term"]]}) if c["term"] in hidden else c
@@ -265,27 +303,29 @@ def _candidate_rows(answers: Sequence[BlockAnswer], hidden: Mapping[str, str]) -
     )
 
 
-def _nats(searches: Sequence[Search], term: str) -> float:
-    return next(s.evidence[term].nats for s in searches if term in s.evidence)
-
-
-def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
-    """The final model, fitted to every response; model.yaml, the report and the findings print its values and intervals."""
-    if final == asked.model:
+def _final_fit(
+    asked: Asked, answers: Sequence[PartAnswer], searches: Sequence[Search], final: Model, winds: Sequence[FlightWind]
+) -> Fit:
+    """The final model, fitted to every response; model.yaml, the report and the findings print its values and intervals. What prediction
+    errors showed is held there; they are in the frame of the air."""
+    estimates = [a.estimate for a in answers if a.estimate]
+    if final == asked.model and asked.base and not estimates:
         return asked.base
-    start = {n: v for n, v in asked.base.values.items() if n in final.names}
     held: dict[str, float] = {}
-    noise = asked.base.noise
-    nuisance = dict(asked.base.start.nuisance)
-    for search in searches:
-        assert search.now is not None
-        values = search.now.at.values  # of every parameter: those of other blocks are the base's
-        held |= {n: values[n] for t in search.named for n in search.held(t)}
-        start |= {n: values[n] for n in search.now.names} | held
-        noise |= search.now.at.noise
-        nuisance |= search.now.at.nuisance
-    begun = Start(start, noise, nuisance)
-    return fit(asked.segments, final, select="all", start=begun, frozen=held, robust=False)
+    begun = None
+    if asked.base:
+        start = {n: v for n, v in asked.base.values.items() if n in final.names}
+        noise, nuisance = asked.base.noise, dict(asked.base.start.nuisance)
+        for search in searches:
+            assert search.now is not None
+            values = search.now.at.values  # of every parameter: those of other blocks are the base's
+            held |= {n: values[n] for t in search.named for n in search.held(t)}
+            start |= {n: values[n] for n in search.now.names} | held
+            noise |= search.now.at.noise
+            nuisance |= search.now.at.nuisance
+        begun = Start(start, noise, nuisance)
+    segments = in_still_air(asked.segments, winds) if estimates else asked.segments
+    return fit_of_estimates(segments, final, estimates, start=begun, frozen=held)
 
 
 def _in_units(name: str, unit: str) -> str:
@@ -294,7 +334,7 @@ def _in_units(name: str, unit: str) -> str:
 
 def _next(
     searches: Sequence[Search],
-    findings: Sequence[Any],
+    findings: Sequence[Finding],
     unseen: Sequence[Untestable],
     terms: Mapping[str, Term],
     fits: Callable[[ScriptData], tuple[ScriptData, float] | None],

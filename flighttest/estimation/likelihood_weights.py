@@ -77,8 +77,9 @@ class LikelihoodWeights:
 
     @classmethod
     def even(cls, problem: Problem, noise: Noise | None, *, robust: bool) -> LikelihoodWeights:
-        """Every response alike. noise: None for what is assumed before anything is known."""
-        return cls(problem, noise or start_noise(problem), np.ones(len(problem.segments)), robust)
+        """Every response alike. noise: as far as it is known; the rest as assumed before anything is."""
+        assumed = start_noise(problem)
+        return cls(problem, assumed | noise if noise else assumed, np.ones(len(problem.segments)), robust)
 
     def by_response(self, made: Sequence[PartEvaluation]) -> LikelihoodWeights:
         """The same with responses that are far worse than their like weighted down."""

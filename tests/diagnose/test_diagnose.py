@@ -8,7 +8,7 @@ import pytest
 from flight import campaign, fly
 
 from flighttest.diagnose import Verdict, diagnose
-from flighttest.diagnose.run import one_after_the_other
+from flighttest.diagnose.run import Support, one_after_the_other
 from flighttest.diagnose.selection import comparison
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.diagnose.selection.search import Search
@@ -145,10 +145,10 @@ def test_a_flight_inside_the_zone_comes_before_one_for_a_larger_zone():
         return None if script["name"] in low_ceiling else (script, 1.0)
 
     segments, only = tilts(), ("ground_effect", "thrust_asymmetry")
-    found = diagnose(segments, only=only, flyable=in_zone)
+    found = diagnose(segments, only=only, support=Support(flyable=in_zone))
     assert found.next_reason["maneuver"] == "thrust"
     assert found.next_reason["separates"] == ["thrust_asymmetry"]
-    without = diagnose(segments, only=only, flyable=lambda *_: None)
+    without = diagnose(segments, only=only, support=Support(flyable=lambda *_: None))
     assert without.next_reason["separates"] == ["ground_effect"], "where nothing fits, the first, for a larger zone"
 
 
@@ -160,7 +160,7 @@ def test_what_is_proposed_is_fitted_to_the_zone_with_all_that_was_found():
         asked.append((model, values))
         return script, 1.0
 
-    found = diagnose(tilts(latency=0.12), only=("velocity_latency", "turn_axes"), flyable=in_zone)
+    found = diagnose(tilts(latency=0.12), only=("velocity_latency", "turn_axes"), support=Support(flyable=in_zone))
     assert {u.term for u in found.untestable} == {"turn_axes"}, (
         "a question of another block than the effect that was found"
     )
@@ -263,7 +263,7 @@ def test_an_interrupt_keeps_what_is_done():
         if text == "translation: base model fitted":
             raise KeyboardInterrupt
 
-    found = diagnose(fly(campaign(1, tilts=False, yaws=False)), only=RIVALS, progress=interrupt)
+    found = diagnose(fly(campaign(1, tilts=False, yaws=False)), only=RIVALS, support=Support(interrupt))
     assert not found.complete
     assert found.sentence.startswith("Interrupted: nothing was found missing until then")
     assert found.verdict is Verdict.PARTLY
@@ -276,7 +276,7 @@ def test_an_interrupt_keeps_what_is_done():
 
 def test_every_block_is_searched():
     said = []
-    diagnose(fly(campaign(1)), only=("rate_limit",), progress=said.append)
+    diagnose(fly(campaign(1)), only=("rate_limit",), support=Support(said.append))
     for block in ("roll_pitch", "yaw", "translation"):
         assert f"{block}: base model fitted" in said
 
@@ -285,7 +285,9 @@ def test_blocks_that_are_searched_apart_give_the_same_answer(monkeypatch):
     monkeypatch.setattr("flighttest.pipeline.parallel.usable_processes", lambda: 2)
     segments = fly(campaign(1), wind=(2.5, 0.0, 0.0))
     only = ("steady_wind", "rate_limit")
-    alone, apart = (diagnose(segments, only=only, side_by_side=way) for way in (one_after_the_other, in_parallel))
+    alone, apart = (
+        diagnose(segments, only=only, support=Support(side_by_side=way)) for way in (one_after_the_other, in_parallel)
+    )
     assert alone.accepted == ("steady_wind",)
     assert json.dumps(apart.to_json()) == json.dumps(alone.to_json())
 

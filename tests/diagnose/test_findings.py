@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose.conclusion import predicted_worse
-from flighttest.diagnose.findings import held_out_gain, parameter_table, undetermined_sizes
+from flighttest.diagnose.findings import parameter_table
+from flighttest.diagnose.output_error.reported import held_out_gain, undetermined_sizes
 from flighttest.diagnose.records import HeldOutRow
 from flighttest.identify.fit import Estimate
 from flighttest.physics.catalogue import catalogue

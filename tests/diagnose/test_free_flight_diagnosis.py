@@ -6,13 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flighttest.diagnose import Verdict
+from flighttest.diagnose import Verdict, diagnose
 from flighttest.diagnose.conclusion import sentence_of
-from flighttest.diagnose.free_flight import diagnose_free_flight, equation_search
+from flighttest.diagnose.free_flight import equation_search
 from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
 from flighttest.diagnose.model import Rival, TermVerdict
-from flighttest.identify.free_flight import is_free_flight, stretches
+from flighttest.identify.free_flight import stretches
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, in_still_air
 from flighttest.identify.models import model_file
 from flighttest.physics.catalogue import catalogue
@@ -37,13 +37,7 @@ def windy():
 
 @cache
 def diagnosed():
-    return diagnose_free_flight((*calm(), *windy()), Model(), weather={"calm": "still"})
-
-
-def test_only_windows_of_free_flight_are_free_flight():
-    assert is_free_flight(calm())
-    assert not is_free_flight(calm()[:10])  # 25 s
-    assert not is_free_flight([])
+    return diagnose((*calm(), *windy()), Model(), weather={"calm": "still"})
 
 
 def test_a_wind_is_named_with_its_size_and_nothing_else_is():
@@ -150,7 +144,7 @@ def test_of_what_a_variable_orders_and_nothing_explains_all_is_unexplained():
         replace(s, y=s.y | {"f_x_m_s2": s.y["f_x_m_s2"] + np.where(np.abs(s.y["roll_rad"]) > 0.1, 1.5, 0.0)})
         for s in calm()
     )
-    found = diagnose_free_flight(odd, Model(), only=("velocity_latency",))
+    found = diagnose(odd, Model(), only=("velocity_latency",))
     assert found.verdict is Verdict.UNKNOWN_PHYSICS
     assert {place.regime.get("variable") for place in found.located} == {"tilt_rad"}
     assert found.unexplained["excess_share"] == 1.0

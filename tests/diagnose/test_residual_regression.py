@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from flighttest.diagnose.residual_regression import candidate_functions, sparse_choice
+from flighttest.diagnose.output_error.residual_regression import candidate_functions, sparse_choice
 
 
 def _table(rng: np.random.Generator, n: int) -> dict[str, np.ndarray]:

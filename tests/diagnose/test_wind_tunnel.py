@@ -2,7 +2,7 @@
 
 import pytest
 
-from flighttest.diagnose.free_flight.assembly import diagnose_free_flight
+from flighttest.diagnose import diagnose
 from flighttest.pipeline.identification.fitting import base_model
 from flighttest.pipeline.recordings.sources import Reading, open_recordings
 from flighttest.segments import cut
@@ -11,7 +11,7 @@ from flighttest.segments import cut
 def diagnosed(shared_data, repository, *flights):
     paths = [shared_data / "wind_tunnel" / f"custom_figure8_{flight}.csv.gz" for flight in flights]
     recordings = open_recordings(paths, Reading(repository / "examples" / "columns" / "neural_fly.yaml"))
-    return diagnose_free_flight([s for r in recordings for s in cut(r)], base_model(recordings, None))
+    return diagnose([s for r in recordings for s in cut(r)], base_model(recordings, None))
 
 
 def test_a_wind_is_named_where_the_fan_blew_and_its_interval_holds_that_of_the_fan(shared_data, repository):

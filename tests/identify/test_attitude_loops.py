@@ -6,16 +6,18 @@ from functools import cache
 import numpy as np
 import pytest
 
+from flighttest.diagnose import diagnose
 from flighttest.diagnose.conclusion import UNTRIED
-from flighttest.diagnose.free_flight import assembly, diagnose_free_flight
+from flighttest.diagnose.free_flight import answer
 from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.identify.fit import fit
-from flighttest.identify.free_flight import estimate, fit_free_flight, is_free_flight, stretches
+from flighttest.identify.free_flight import estimate, fit_by_prediction_errors, parts_by_prediction_errors, stretches
 from flighttest.physics.model import Model
-from flighttest.segments.model import Segment
+from flighttest.segments.model import Segment, SegmentContext
 
 TRUTH = {"omega_phi": 9.0, "zeta_phi": 0.7, "omega_theta": 8.0, "zeta_theta": 0.8, "T_d_attitude": 0.05}
 DT, EVERY = 0.005, 4
+ALL = ("translation", "roll_pitch", "yaw")
 
 
 @cache
@@ -75,7 +77,7 @@ def test_a_pilot_who_answers_gusts_does_not_bias_the_loops(rate_hz):
     """Gusts of torque tilt the vehicle by 3 degrees, a fifth of what it flies."""
     errors = []
     for seed in range(4):
-        found = estimate(stretches(piloted(60.0, seed, rate_hz=rate_hz)), Model(), part="roll_pitch")
+        found = estimate(stretches(piloted(60.0, seed, rate_hz=rate_hz), "roll_pitch"), Model(), part="roll_pitch")
         assert found.converged
         errors += [(found.values[n] - truth) / found.std[n] for n, truth in TRUTH.items()]
         assert found.std["T_d_attitude"] < 0.015
@@ -105,7 +107,7 @@ def test_what_is_faster_than_the_loops_does_not_decide_what_they_are(seed):
 
 def test_a_fit_and_a_diagnosis_print_the_same_values_and_intervals():
     segments = piloted(60.0, 0)
-    fitted, found = fit_free_flight(segments, Model()), diagnose_free_flight(segments, Model(), only=())
+    fitted, found = fit_by_prediction_errors(segments, Model(), ALL), diagnose(segments, Model(), only=())
     assert not {"roll", "pitch"} & {place.channel for place in found.located}  # gusts have no place
     assert set(TRUTH) <= set(found.after)
     for name in TRUTH:
@@ -124,33 +126,18 @@ def test_an_interrupt_while_the_loops_are_searched_keeps_the_translation(monkeyp
             raise KeyboardInterrupt
         return find_terms(*args, part=part, **more)
 
-    monkeypatch.setattr(assembly, "find_terms", interrupted)
-    found = diagnose_free_flight(piloted(60.0, 0), Model(), only=("rate_limit",))
+    monkeypatch.setattr(answer, "find_terms", interrupted)
+    found = diagnose(piloted(60.0, 0), Model(), only=("rate_limit",))
     assert not found.complete
     assert "K" in found.after
     assert [u.why for u in found.untestable] == [UNTRIED]
 
 
-def test_a_flight_with_a_step_in_it_is_no_free_flight_alone():
+def test_loops_are_estimated_by_prediction_errors_where_somebody_steered_and_all_of_a_flight_without_steps():
     windows = piloted(60.0, 0)
     step = replace(windows[3], kind="roll_step", cell={"amplitude_rad": 0.1})
-    assert is_free_flight(windows)
-    assert not is_free_flight([*windows[:3], step, *windows[4:]])
-    assert not is_free_flight(windows[:10])
-
-
-def test_a_term_that_couples_the_axes_leaves_the_same_residuals():
-    segments = stretches(piloted(30.0, 1))
-    base = estimate(segments, Model(), part="roll_pitch")
-    coupled = estimate(segments, Model() + "roll_pitch_coupling", part="roll_pitch", start=base.values)
-    assert coupled.log_likelihood > base.log_likelihood - 0.1
-    assert abs(coupled.values["pitch_to_roll"]) < 3.0 * coupled.std["pitch_to_roll"]
-
-
-def test_a_moment_of_the_air_is_estimated_with_the_loops():
-    found = estimate(
-        stretches(piloted(120.0, 2, torque=1.0, moment=1.5)), Model() + "airflow_moment", part="roll_pitch"
-    )
-    for name in ("m_u", "l_v"):
-        assert abs(found.values[name] - 1.5) < 3.0 * found.std[name]
-        assert found.std[name] < 0.5
+    by_hand = replace(step, context=SegmentContext(by_hand=True))
+    assert parts_by_prediction_errors(windows) == ALL
+    assert parts_by_prediction_errors([*windows[:3], by_hand, *windows[4:]]) == ALL[1:]
+    assert parts_by_prediction_errors([*windows[:3], step, *windows[4:]]) == ()  # of a script
+    assert parts_by_prediction_errors(windows[:10]) == ()

@@ -17,19 +17,19 @@ def test_the_model_file_of_a_diagnosis_holds_its_own_fit_but_for_what_the_base_m
     asked = []
     held = SimpleNamespace(values={"d_x": 0.3})
 
-    def identify(_segments, model, **options):
-        asked.append((model, options))
+    def fit_of_estimates(segments, model, estimates, **options):
+        asked.append((segments, model, estimates, options))
         return held
 
-    monkeypatch.setattr(diagnosis, "identify", identify)
+    monkeypatch.setattr(diagnosis, "fit_of_estimates", fit_of_estimates)
     monkeypatch.setattr(diagnosis, "known_before", lambda _fitted, _base: known)
-    own = SimpleNamespace(values={"K": 50.0}, start=Start({"K": 50.0}))
-    found = SimpleNamespace(values={}, model=Model(("linear_drag",)), fit=own)
-    fitted, kept = diagnosis.refit(found, [])
+    own = SimpleNamespace(values={"K": 50.0}, start=Start({"K": 50.0}), problem=SimpleNamespace(segments=("one",)))
+    found = SimpleNamespace(values={}, model=Model(("linear_drag",)), fit=own, estimates=("loops",))
+    fitted, kept = diagnosis.refit(found)
     assert kept == tuple(known)
     assert fitted is (held if known else own)
-    for model, options in asked:
-        assert model == found.model
+    for segments, model, estimates, options in asked:
+        assert (segments, model, estimates) == (("one",), found.model, ("loops",))
         assert options["frozen"] == known
         assert options["start"] == own.start
     assert len(asked) == len(known)
@@ -39,7 +39,6 @@ def test_what_the_model_in_use_only_assumed_has_not_changed(monkeypatch):
     """After throttle steps alone, 'zeta_theta +234 %' was said of a start value that no flight had determined."""
     asked = {}
     monkeypatch.setattr(diagnosis, "search", lambda *_, **options: asked.update(options))
-    monkeypatch.setattr(diagnosis, "is_free_flight", lambda _segments: False)
     monkeypatch.setattr(diagnosis, "held_against_zone", lambda found, *_: found)
     known = SimpleNamespace(value=45.0, scatter=0.2, identifiable=True)
     assumed = SimpleNamespace(value=0.39, scatter=None, identifiable=False)

@@ -1,5 +1,5 @@
-"""Diagnosis of free flight alone, by the prediction errors of each part of the model."""
+"""Free flight by the prediction errors of each part of the model."""
 
-from flighttest.diagnose.free_flight.assembly import diagnose_free_flight
+from flighttest.diagnose.free_flight.answer import by_prediction_errors
 
-__all__ = ["diagnose_free_flight"]
+__all__ = ["by_prediction_errors"]

@@ -126,7 +126,8 @@ def find_terms(
         known.pop(LATENCY, None)  # an accelerometer shows forces without the velocity
     if set(base.flights) <= declared:
         known.pop(WIND_TERM, None)
-    found = EquationSearch(flown, base, base, offered=tuple(known), declared=declared, turned=turned(flown))
+    found = EquationSearch(flown, base, base, offered=tuple(known), declared=declared)
+    found.turned = part != "translation" or turned(flown)
     try:
         _wind_first(found, asked, known)
         while len(found.named) < MOST_NAMED and _step(found, asked, known, progress):

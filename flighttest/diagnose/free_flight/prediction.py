@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from flighttest.diagnose.block import SEED
+from flighttest.diagnose.answer import SEED
 from flighttest.diagnose.model import short
 from flighttest.diagnose.records import HeldOutRow
 from flighttest.diagnose.selection.held_out import worse_in_more

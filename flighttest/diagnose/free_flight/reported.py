@@ -92,8 +92,8 @@ def smallest_of(search: EquationSearch, pool: Sequence[Term]) -> Iterator[tuple[
             yield known[s.term], name, sizes[name]
 
 
-def candidates_of(search: EquationSearch, hidden: Mapping[str, str]) -> list[CandidateRow]:
-    """Every candidate's evidence. hidden: terms that could not be seen, and why."""
+def candidates_of(search: EquationSearch) -> list[CandidateRow]:
+    """Every candidate's evidence."""
     rows: list[CandidateRow] = []
     for n in search.named.values():
         channel, size = max(n.size.items(), key=lambda kv: kv[1])
@@ -110,10 +110,9 @@ def candidates_of(search: EquationSearch, hidden: Mapping[str, str]) -> list[Can
     done = {r["term"] for r in rows}
     for s in search.screened:
         if s.term not in done:
-            verdict = TermVerdict.UNTESTABLE if s.term in hidden else TermVerdict.NOT_NEEDED
-            why = hidden.get(s.term, f"score test: p {s.p_value:.2g}")
             rows.append(CandidateRow(
-                term=s.term, verdict=verdict, delta_bic=0.0, probability=0.0, floors=None, why=why,
+                term=s.term, verdict=TermVerdict.NOT_NEEDED, delta_bic=0.0, probability=0.0, floors=None,
+                why=f"score test: p {s.p_value:.2g}",
             ))  # fmt: skip
     return rows
 

@@ -4,8 +4,8 @@ stretches: the flight without gaps, in pieces integrated side by side; equations
 their parameters, by least squares on whitened residuals; winds: a wind of each flight; equation_fit: the estimates as a `Fit`.
 """
 
-from flighttest.identify.free_flight.equation_fit import fit_free_flight, is_free_flight
+from flighttest.identify.free_flight.equation_fit import fit_by_prediction_errors, parts_by_prediction_errors
 from flighttest.identify.free_flight.estimate import FreeFlight, estimate
 from flighttest.identify.free_flight.stretches import stretches
 
-__all__ = ["FreeFlight", "estimate", "fit_free_flight", "is_free_flight", "stretches"]
+__all__ = ["FreeFlight", "estimate", "fit_by_prediction_errors", "parts_by_prediction_errors", "stretches"]

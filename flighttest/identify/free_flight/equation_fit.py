@@ -1,19 +1,19 @@
-"""The estimates of free flight as a `Fit`: their values, standard errors and covariance; output error evaluates them over the windows."""
+"""Recordings that a pilot or another controller flew: which parts of the model are estimated by prediction errors, and those estimates as a
+`Fit`: their values, standard errors and covariance; output error estimates the other parts and evaluates all."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from flighttest.errors import FitError
-from flighttest.estimation.estimator import BLOCKS
 from flighttest.estimation.linearisation import FloatArray
-from flighttest.estimation.solver import solve
+from flighttest.estimation.solver import Start, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
 from flighttest.identify.diagnostics.identifiability import Estimated, judge
-from flighttest.identify.fit import Estimate, Fit, fit
+from flighttest.identify.fit import Estimate, Fit, fit, has_attitude_references
 from flighttest.identify.free_flight.estimate import FreeFlight, determined, estimate
 from flighttest.identify.free_flight.stretches import stretches
 from flighttest.identify.selection import problem_of
@@ -21,39 +21,61 @@ from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 LEAST_S = 30.0  # of stretches: below, 30 blocks of a second do not carry a sandwich over a dozen parameters
+LOOPS = ("roll_pitch", "yaw")
 
 
-def is_free_flight(segments: Sequence[Segment]) -> bool:
-    """Whether every usable segment is a window of free flight, and stretches of `LEAST_S` or more can be estimated from.
+def parts_by_prediction_errors(segments: Sequence[Segment]) -> tuple[str, ...]:
+    """Parts of the model (`estimation.estimator.BLOCKS`) that usable segments show by prediction errors, the translation first; the others
+    by output error.
 
-    Steps by hand among them show more by output error: of nine effects added to logs with a tenth of steps the innovations named none, of
-    eight output error had named seven.
+    Attitude loops where a pilot or another controller steered all of them, who answers what gusts do, and so moves the references that
+    output error takes for causes. The translation, too, where no step was flown by hand: of nine effects added to logs with a tenth of
+    such steps its equations named none, of eight output error named seven. No part with less than `LEAST_S` of stretches.
     """
     usable = [s for s in segments if s.usable]
-    if not usable or any(s.kind != "free" for s in usable):
-        return False
-    return sum(float(np.ptp(s.t_s)) for s in stretches(usable)) >= LEAST_S
+    if not all(s.steered for s in usable):
+        return ()
+    free, loops = all(s.kind == "free" for s in usable), LOOPS if has_attitude_references(usable) else ()
+    return tuple(p for p in (*(("translation",) if free else ()), *loops) if _lasts_s(usable, p) >= LEAST_S)
 
 
-def fit_free_flight(segments: Sequence[Segment], model: Model) -> Fit:
-    """Translation and attitude loops of a free flight (`is_free_flight`). FitError where the translation cannot be estimated."""
+def _lasts_s(segments: Sequence[Segment], part: str) -> float:
+    return sum(float(np.ptp(s.t_s)) for s in stretches(segments, part))
+
+
+def fit_by_prediction_errors(
+    segments: Sequence[Segment], model: Model, parts: Sequence[str], frozen: Mapping[str, float] | None = None
+) -> Fit:
+    """A fit whose `parts` are estimated by prediction errors (`parts_by_prediction_errors`). frozen: names held at values. FitError where
+    the translation is among the parts and cannot be estimated."""
     windows = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
-    flown = stretches(windows)
-    names = determined(flown, model)
-    found = [estimate(flown, replace(model, attitude_loops=False), free=names)]
-    for part in (b for b in BLOCKS if b != "translation" and model.attitude_loops):
+    held = dict(frozen or {})
+    found = []
+    for part in parts:
+        flown = stretches(windows, part)
+        names = [n for n in determined(flown, model) if n not in held]
+        of = replace(model, attitude_loops=False) if part == "translation" else model
         try:
-            found.append(estimate(flown, model, part=part, free=names))
-        except FitError:  # no reference of it moves
-            continue
-    return fit_of_estimates(windows, model, found)
+            found.append(estimate(flown, of, part=part, start=held, free=names))
+        except FitError:  # no reference of the loops moves
+            if part == "translation":
+                raise
+    return fit_of_estimates(windows, model, found, frozen=held)
 
 
-def fit_of_estimates(windows: Sequence[Segment], model: Model, found: Sequence[FreeFlight]) -> Fit:
-    """A fit that holds what was estimated, with its standard errors and covariance."""
+def fit_of_estimates(
+    windows: Sequence[Segment],
+    model: Model,
+    found: Sequence[FreeFlight],
+    *,
+    start: Start | None = None,
+    frozen: Mapping[str, float] | None = None,
+) -> Fit:
+    """A fit that holds what was estimated, with its standard errors and covariance; the rest by output error. start: where that begins;
+    frozen: further names held at values."""
     known = {n: e.values[n] for e in found for n in e.names if n in model.param}
     held = {n: float(np.clip(v, model.param[n].lower, model.param[n].upper)) for n, v in known.items()}
-    made = fit(windows, model, select="all", frozen=held, robust=False)
+    made = fit(windows, model, select="all", start=start, frozen={**held, **(frozen or {})}, robust=False)
     for one in found:
         made = _with_errors(made, one)
     return made

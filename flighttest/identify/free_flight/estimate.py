@@ -161,7 +161,8 @@ def estimate(
         )
     asked = _Asked(model, part, free, tuple(per_flight), dict(priors or {}))
     known = {**start_of(flown, model), **dict(start or {})}
-    starts = [known if set(start or {}) & set(STARTS[part][0]) else _with_lag(flown, asked, known)]
+    searched = set(STARTS[part][0]) & set(model.names if free is None else free)
+    starts = [known if set(start or {}) & searched else _with_lag(flown, asked, known)]
     if per_flight and not any("@" in n for n in start or {}):
         usual = {p.name: p.nominal for p in model.params if p.name in DRAG}
         starts += [starts[0] | usual, _with_lag(flown, asked, known | usual)]
@@ -172,7 +173,8 @@ def estimate(
 def _with_lag(flown: Sequence[Segment], asked: _Asked, values: Mapping[str, float]) -> dict[str, float]:
     """Start values with the best of several local optima of lag and delay, each followed for a while on a part of the flight."""
     equations = Equations(asked.model, _some(flown, asked.part), asked.part)
-    starts = STARTS[asked.part]
+    held = () if asked.free is None else set(values) - set(asked.free)
+    starts = [{n: v for n, v in one.items() if n not in held} for one in STARTS[asked.part]]
     tried = [_minimised(equations, asked, {**values, **_known(one, values)}, FIRST_ITERATIONS) for one in starts]
     best = max(tried, key=lambda found: found.log_likelihood)
     return {**values, **{n: best.values[n] for n in (*starts[0], "K") if n in best.values}}

@@ -27,22 +27,24 @@ LEAD_S = 1.0  # before each, in which the initial state is forgotten: five time 
 MEMORY_S, MEMORY_CHUNK_S = 20.0, 40.0
 
 
-def stretches(segments: Sequence[Segment]) -> list[Segment]:
-    """Usable windows of free flight of each recording with attitude, velocity and throttle, those that adjoin joined."""
-    fit = [s for s in segments if s.usable and s.kind == "free" and s.t_s.size > 2 and _can(s)]
+def stretches(segments: Sequence[Segment], part: str = "translation") -> list[Segment]:
+    """Usable segments of each recording with what a part of the model is estimated from (`estimation.estimator.BLOCKS`), those that adjoin
+    or overlap joined: attitude; for the translation heading, velocity and throttle, too."""
+    can = _translates if part == "translation" else attitude_is_known
+    fit = [s for s in segments if s.usable and s.t_s.size > 2 and can(s)]
     groups: list[list[Segment]] = []
     for s in sorted(fit, key=lambda s: (s.run, s.t_s[0])):
         if groups:
             before = groups[-1][-1]
             period = float(np.median(np.diff(before.t_s)))
-            if before.run == s.run and abs(s.t_s[0] - before.t_s[-1]) <= JOIN_PERIODS * period:
+            if before.run == s.run and s.t_s[0] - before.t_s[-1] <= JOIN_PERIODS * period:
                 groups[-1].append(s)
                 continue
         groups.append([s])
     return [one for one in (_joined(g) for g in groups) if one.t_s[-1] - one.t_s[0] >= SHORTEST_S]
 
 
-def _can(s: Segment) -> bool:
+def _translates(s: Segment) -> bool:
     velocity = all(np.isfinite(s.y.get(n, np.nan)).any() for n in VELOCITY)
     heading = bool(np.isfinite(s.y.get("yaw_rad", np.nan)).any())
     return velocity and heading and "throttle" in s.u and attitude_is_known(s)

@@ -84,7 +84,7 @@ def winds(segments: Sequence[Segment], model: Model, weather: Mapping[str, str] 
 
     weather: flight to 'still', a prior of no wind with a standard deviation of 0.2 m/s; other flights have none but that of usual winds.
     """
-    flown = stretches(segments)
+    flown = stretches([s for s in segments if s.kind == "free"])
     if not flown:
         return None
     tried = Model(

@@ -9,22 +9,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from flighttest.datafiles import check_writable, write_whole
-from flighttest.diagnose import Diagnosis, Verdict
+from flighttest.diagnose import Diagnosis, Support, Verdict
 from flighttest.diagnose import diagnose as search
-from flighttest.diagnose.free_flight import diagnose_free_flight
 from flighttest.diagnose.records import DiagnosisData
 from flighttest.diagnose.step_error import rows_of
 from flighttest.documents import write_text
 from flighttest.errors import InputError
 from flighttest.identify.fit import Fit
-from flighttest.identify.fit import fit as identify
-from flighttest.identify.free_flight import is_free_flight
-from flighttest.identify.free_flight.winds import WIND_TERM
+from flighttest.identify.free_flight.equation_fit import fit_of_estimates
 from flighttest.identify.models import model_file
 from flighttest.identify.models.informative_prior import carry_over, known_before
 from flighttest.identify.models.model_blocks import DiagnosedBlock
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.physics.catalogue import catalogue
 from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
 from flighttest.pipeline.identification.fitting import base_model, cut_all, model_data
 from flighttest.pipeline.identification.per_flight import weather_of
@@ -62,27 +58,19 @@ def run_diagnosis(
 ) -> Diagnosis:
     """The diagnosis of segments, from the stored model's physics or the paper's; its proposal held against the vehicle's zone.
 
-    Free flight alone by prediction errors (`diagnose.free_flight`), all else by output error. weather: flight to 'still' or 'unknown',
-    the vehicle's where it is not given.
+    weather: flight to 'still' or 'unknown', the vehicle's where it is not given.
     """
     previous = None
     if stored is not None:
         # What no flight determined is a start value: whatever is found now, it has not changed.
         previous = {n: (p.value, p.scatter if p.identifiable else math.inf) for n, p in stored.parameters.items()}
     progress.stage("searching for what the model lacks")
-    air = weather_of({}, recordings, vehicle) if weather is None else weather
-    base = stored.model if stored is not None else base_model(recordings, vehicle)
-    if is_free_flight(segments):
-        return diagnose_free_flight(segments, base, previous=previous, weather=air, progress=progress.stage)
-    still = bool(air) and all(one == "still" for one in air.values())
     found = search(
         segments,
-        base,
+        stored.model if stored is not None else base_model(recordings, vehicle),
         previous=previous,
-        only=[t for t in catalogue() if t != WIND_TERM] if still else None,
-        progress=progress.stage,
-        side_by_side=in_parallel,
-        flyable=flyable_in(recordings, vehicle),
+        weather=weather_of({}, recordings, vehicle) if weather is None else weather,
+        support=Support(progress.stage, in_parallel, flyable_in(recordings, vehicle)),
     )
     return held_against_zone(found, recordings, vehicle)
 
@@ -141,15 +129,14 @@ def _base_terms(found: Diagnosis) -> list[str]:
     return [t for t in found.model.terms if t not in found.accepted and t in estimated]
 
 
-def refit(found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None = None) -> tuple[Fit, tuple[str, ...]]:
+def refit(found: Diagnosis, base: ModelFile | None = None) -> tuple[Fit, tuple[str, ...]]:
     """The diagnosis' own fit of the accepted model; fitted anew where parameters are held as in the base model, and which."""
     assert found.fit is not None
     fitted = found.fit
     known = known_before(fitted, base)
-    if not known or is_free_flight(segments):  # output error does not estimate it anew
+    if not known:
         return fitted, ()
-    usable = [s for s in segments if s.usable]
-    again = identify(usable, found.model, select="all", start=fitted.start, frozen=known)
+    again = fit_of_estimates(fitted.problem.segments, found.model, found.estimates, start=fitted.start, frozen=known)
     return again, tuple(known)
 
 
@@ -173,7 +160,7 @@ def write_diagnosis(
         write_whole(folder / NEXT_NAME, script)
         data["next_flight"] = NEXT_NAME
     write_whole(folder / DIAGNOSIS_NAME, json.dumps(plain(data), indent=1) + "\n")
-    fitted, kept = refit(found, segments, base)
+    fitted, kept = refit(found, base)
     model = model_data(fitted, recordings, vehicle) | {"diagnosed": looked_for(found)}
     if base is not None and kept:
         model = carry_over(model, base, kept)

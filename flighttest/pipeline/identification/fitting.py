@@ -15,7 +15,7 @@ from flighttest.documents import nearest
 from flighttest.errors import FitError, InputError
 from flighttest.identify.fit import Fit, has_attitude_references
 from flighttest.identify.fit import fit as identify
-from flighttest.identify.free_flight import fit_free_flight, is_free_flight
+from flighttest.identify.free_flight import fit_by_prediction_errors, parts_by_prediction_errors
 from flighttest.identify.free_flight.winds import WIND_TERM
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_blocks import ModelData, QualityBlock
@@ -175,8 +175,9 @@ def fit_segments(
                 f"tie {name}={source}: {' and '.join(sorted(units))} are not the same unit",
                 "tie parameters of the same unit",
             )
-    if is_free_flight(usable) and not held and not ties and WIND_TERM not in model.terms:
-        return fit_free_flight(usable, model)
+    own = parts_by_prediction_errors(usable)
+    if own and not ties and WIND_TERM not in model.terms:
+        return fit_by_prediction_errors(usable, model, own, held)
     found = identify(usable, model, frozen=held, ties=ties)
     return cross_checked(found)
 

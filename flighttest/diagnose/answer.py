@@ -1,0 +1,92 @@
+"""What a diagnosis asks of each part of the model (roll and pitch, yaw rate, translation), and what it is answered.
+
+Parts share no parameter, so that each is searched by itself: by output error (`output_error`) or by prediction errors (`free_flight`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.model import Finding, Located, Untestable
+from flighttest.diagnose.records import CandidateRow, FloorRow, HeldOutRow, MapCell, Overlay, ParameterRow, RegimeCurve
+from flighttest.diagnose.step_error import StepError
+from flighttest.identify.fit import Fit
+from flighttest.identify.free_flight import FreeFlight
+from flighttest.identify.free_flight.winds import FlightWind
+from flighttest.physics.core import Term
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+SEED = 0  # of sign flips and resampling: the same recordings give the same diagnosis
+
+V = TypeVar("V")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What every part is asked about: responses, base model, candidates; the base model's fit by output error, None where no part is
+    estimated by it; which responses are held out together, and in words; weather: flight to 'still'."""
+
+    segments: tuple[Segment, ...]
+    model: Model
+    pool: tuple[Term, ...]
+    base: Fit | None
+    groups: NDArray[np.intp]
+    group_name: str
+    previous: Mapping[str, tuple[float, float | None]]
+    weather: Mapping[str, str]
+    tell: Callable[[str], None]
+
+
+@dataclass
+class PartAnswer:
+    """What was found in one part of the model, for `run` to put together; of this class itself where nothing was: nothing moves it, or an
+    interrupt came before.
+
+    accepted: named terms and what they gain, nats; terms: everything that joined the model; tried: ids of the terms that these recordings
+    determine something of; floors, cells, curves, overlaid, errors, left: as in `Diagnosis`; shares: of each channel's excess what stays;
+    staying: channels (short) whose mismatch stays; estimate: of the final model by prediction errors; winds: of each flight.
+    """
+
+    complete: bool = True
+    notes: list[str] = field(default_factory=list)
+    accepted: dict[str, float] = field(default_factory=dict)
+    terms: tuple[str, ...] = ()
+    tried: frozenset[str] = frozenset()
+    located: list[Located] = field(default_factory=list)
+    unseen: list[Untestable] = field(default_factory=list)
+    levels: dict[str, tuple[float, str]] = field(default_factory=dict)
+    before: dict[str, ParameterRow] = field(default_factory=dict)
+    heldout: dict[str, dict[str, HeldOutRow]] = field(default_factory=dict)
+    floors: dict[str, FloorRow] = field(default_factory=dict)
+    cells: list[MapCell] = field(default_factory=list)
+    errors: list[StepError] = field(default_factory=list)
+    left: list[StepError] = field(default_factory=list)
+    curves: list[RegimeCurve] = field(default_factory=list)
+    overlaid: list[Overlay] = field(default_factory=list)
+    candidates: list[CandidateRow] = field(default_factory=list)
+    baselines: dict[str, dict[str, float]] = field(default_factory=dict)
+    shares: list[float] = field(default_factory=list)
+    staying: set[str] = field(default_factory=set)
+    estimate: FreeFlight | None = None
+    winds: tuple[FlightWind, ...] = ()
+
+    def findings(self, asked: Asked, table: Mapping[str, ParameterRow]) -> list[Finding]:
+        """Of every named term. table: parameters of the final model."""
+        del asked, table
+        return []
+
+
+def listed(answers: Sequence[PartAnswer], what: str) -> list[Any]:
+    """One of the answers' lists (a field of `PartAnswer`), one after the other."""
+    return [each for a in answers for each in getattr(a, what)]
+
+
+def merged(tables: Iterable[Mapping[str, V]]) -> dict[str, V]:
+    """Tables in one; of a key that occurs twice the last."""
+    return {key: value for table in tables for key, value in table.items()}
