@@ -29,10 +29,12 @@ V = TypeVar("V")
 
 @dataclass(frozen=True)
 class Asked:
-    """What every part is asked about: responses, base model, candidates; the base model's fit by output error, None where no part is
-    estimated by it; which responses are held out together, and in words; weather: flight to 'still'."""
+    """What every part is asked about: responses, with the velocity at its time (recorded: as it was recorded); base model, candidates; the
+    base model's fit by output error, None where no part is estimated by it; which responses are held out together, and in words; weather:
+    flight to 'still'."""
 
     segments: tuple[Segment, ...]
+    recorded: tuple[Segment, ...]
     model: Model
     pool: tuple[Term, ...]
     base: Fit | None

@@ -24,6 +24,7 @@ from flighttest.diagnose.conclusion import (
 )
 from flighttest.diagnose.findings import parameter_table
 from flighttest.diagnose.free_flight import by_prediction_errors
+from flighttest.diagnose.kinematics import KinematicsAnswer, by_kinematics, in_time
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, Finding, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
@@ -66,8 +67,8 @@ def one_after_the_other(work: Work, items: Sequence[str], _shares: Sequence[floa
 
 @dataclass(frozen=True)
 class Support:
-    """What a caller supports a diagnosis with. progress: receives a sentence on each stage; side_by_side(work, items, shares of the work): a way to run
-    work(items), one result per item, in more than one process; flyable: what of a maneuver the vehicle's zone has space for."""
+    """What a caller supports a diagnosis with. progress: receives a sentence on each stage; side_by_side(work, items, shares of the work):
+    a way to run work(items), one result per item, in more than one process; flyable: what of a maneuver the zone has space for."""
 
     progress: Callable[[str], None] = silent
     side_by_side: SideBySide = one_after_the_other
@@ -101,6 +102,12 @@ def diagnose(
         model = default_model(usable)
     if model.attitude_loops and not has_attitude_references(usable):
         model = replace(model, attitude_loops=False)
+    still = {s.run for s in usable} <= still_air(weather)[0]
+    pool = tuple(t for t in _pool(model, only) if not (still and t.id == WIND_TERM))
+    late = by_kinematics(usable, model, pool)
+    recorded, pool = usable, tuple(t for t in pool if t.id not in late.accepted)
+    if isinstance(late, KinematicsAnswer):
+        usable = in_time(usable, late.late_s)
     own = parts_by_prediction_errors(usable)
     # The loops of free flight are searched in the frame of the air that the translation shows.
     order, way = (own, one_after_the_other) if "translation" in own else (BLOCKS, support.side_by_side)
@@ -111,9 +118,9 @@ def diagnose(
         kept, aside = set_aside(usable, base.start.nuisance)
         if aside:
             base = _fitted(kept, base.model, base.values)
-    still = {s.run for s in kept} <= still_air(weather)[0]
-    pool = tuple(t for t in _pool(model, only) if not (still and t.id == WIND_TERM))
-    asked = Asked(kept, model, pool, base, *held_out_groups(kept), previous or {}, weather or {}, say)
+            names = {(s.run, s.name) for s in kept}
+            recorded = tuple(s for s in recorded if (s.run, s.name) in names)
+    asked = Asked(kept, recorded, model, pool, base, *held_out_groups(kept), previous or {}, weather or {}, say)
 
     def search(some: Sequence[str]) -> list[PartAnswer]:
         answers: list[PartAnswer] = []
@@ -129,7 +136,7 @@ def diagnose(
                 break
         return answers + [PartAnswer(complete=False) for _ in some[len(answers) :]]
 
-    answers = way(search, blocks, [SHARES[b] for b in blocks])
+    answers = [late, *way(search, blocks, [SHARES[b] for b in blocks])]
     if not any(type(a) is not PartAnswer for a in answers):
         if not all(a.complete for a in answers):
             raise KeyboardInterrupt  # before anything was known
@@ -324,7 +331,7 @@ def _final_fit(
             noise |= search.now.at.noise
             nuisance |= search.now.at.nuisance
         begun = Start(start, noise, nuisance)
-    segments = in_still_air(asked.segments, winds) if estimates else asked.segments
+    segments = in_still_air(asked.recorded, winds) if estimates else asked.recorded
     return fit_of_estimates(segments, final, estimates, start=begun, frozen=held)
 
 

@@ -10,13 +10,15 @@ late and (1 + kappa) large, specific force read tau_f late (its known low-pass f
 holds in every stretch, three axes with one triple of unknowns; v_0, b (what attitude and accelerometer are biased by) are each stretch's
 own. Linear least squares after one low-pass filter without phase over all terms, with normal priors (`PRIOR_S`, `PRIOR_SCALE`): what little
 motion shows of them moves them little. Without tilting only the difference of the offsets is known, and nothing is corrected.
+A velocity that comes out later than a stamp may be has a latency: it is moved by what was found and the equations are stated anew about
+there (Gauss-Newton), with no prior on it but that it is less than a second.
 Standard errors cluster by stretch. Klein & Morelli, Aircraft System Identification, chapter 10. No vehicle model is involved.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +38,9 @@ PRIOR_SCALE = 0.015
 # own error takes the place of motion: throttle steps have 2.4 to 3.2 ms, and the force 14 ms late where tilting flights of the same
 # vehicle have it within 2 ms; hovers and yaw steps 5.2 to 10 ms, and velocity 10 to 22 ms late.
 DETERMINED = 0.2
+PRIOR_LATENCY_S = 1.0
+SETTLED_S = 1e-4  # by which the last step moved a latency
+STEPS = 10
 LARGEST = 2.0  # priors; more is no matter of stamps but a latency, which is in the catalogue (`velocity_latency`)
 _GROUPS = ("attitude", "specific_force", "velocity")
 _STRETCH_S = 4.0
@@ -47,7 +52,8 @@ _SHORTEST = 3  # stretches
 @dataclass(frozen=True)
 class Compatibility:
     """How late velocity and specific force are stamped against the attitude, s (negative: early), and by what share the horizontal velocity
-    is too large, each with its standard error. stretches: of 4 s each, behind these numbers."""
+    is too large, each with its standard error. stretches: of 4 s each, behind these numbers; errors_m2_s2: of each stretch the mean square
+    of the velocity less what the accelerometer makes of it, as recorded and corrected by what the other stretches show."""
 
     velocity_late_s: float
     velocity_late_std_s: float
@@ -56,6 +62,12 @@ class Compatibility:
     velocity_scale: float
     velocity_scale_std: float
     stretches: int
+    errors_m2_s2: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def velocity_has_latency(self) -> bool:
+        """Whether the velocity is later than a stamp may be: an effect, which is not corrected."""
+        return abs(self.velocity_late_s) > LARGEST * PRIOR_S
 
     @property
     def determined(self) -> bool:
@@ -76,10 +88,34 @@ def compatibility(
         s is None or len(s) < 2 or not set(names(g)) <= set(s.columns) for g, s in zip(_GROUPS, series, strict=True)
     ):
         return None
+    attitude, force, velocity = (s for s in series if s is not None)
+    found = _solved((attitude, force, velocity), flown, cutoff_hz)
+    if found is None or not found.velocity_has_latency:
+        return found
+    first, late_s = found, 0.0
+    for _ in range(STEPS):
+        moved = Series(velocity.t_s - late_s, velocity.columns)
+        found = _solved((attitude, force, moved), flown, cutoff_hz, late_s)
+        if found is None:
+            return first
+        step, late_s = found.velocity_late_s - late_s, found.velocity_late_s
+        if abs(step) < SETTLED_S:
+            break
+    recorded = tuple((b, a) for (b, _), (_, a) in zip(first.errors_m2_s2, found.errors_m2_s2, strict=False))
+    return replace(found, errors_m2_s2=recorded)
+
+
+def _solved(
+    series: Sequence[Series],
+    flown: Sequence[tuple[float, float]],
+    cutoff_hz: float | None,
+    late_s: float | None = None,
+) -> Compatibility | None:
+    """late_s: by which a velocity that has a latency was moved already; None for stamps, with their priors."""
     made = []
     for begin, end in flown:
         for start in np.arange(begin, end - _STRETCH_S, _STRETCH_S):
-            equations = _equations([s for s in series if s is not None], float(start), cutoff_hz)
+            equations = _equations(series, float(start), cutoff_hz)
             if equations is not None:
                 made.append(equations)
     if len(made) < _SHORTEST:
@@ -87,15 +123,23 @@ def compatibility(
     gram = np.stack([a.T @ a for a, _ in made])
     moment = np.stack([a.T @ y for a, y in made])
     power = float(np.mean([np.mean(y**2) for _, y in made])) or 1.0
-    correlated = _RATE_HZ / _CUTOFF_HZ  # samples that count once
-    prior = np.diag([PRIOR_S, PRIOR_S, PRIOR_SCALE]) ** 2
-    inverse = np.linalg.inv(gram.sum(axis=0) / (power * correlated) + np.linalg.inv(prior))
-    found = inverse @ moment.sum(axis=0) / (power * correlated)
-    scores = (moment - gram @ found) / (power * correlated)
-    spread = inverse @ (scores.T @ scores) @ inverse
-    std = np.sqrt(np.maximum(np.diag(spread), 0.0) * len(made) / (len(made) - 2))
-    v, f, scale = zip((-float(found[0]), -float(found[1]), float(found[2])), std.tolist(), strict=True)
-    return Compatibility(*v, *f, *scale, len(made))
+    weight = 1.0 / (power * _RATE_HZ / _CUTOFF_HZ)  # of samples that count once in so many
+    prior = np.diag(np.array([PRIOR_S if late_s is None else PRIOR_LATENCY_S, PRIOR_S, PRIOR_SCALE]) ** -2.0)
+    from_prior = prior @ [late_s or 0.0, 0.0, 0.0]  # of what the velocity is late beyond what it was moved by
+    whole, target = gram.sum(axis=0) * weight + prior, moment.sum(axis=0) * weight + from_prior
+    inverse = np.linalg.inv(whole)
+    found = inverse @ target
+    scores = (moment - gram @ found) * weight
+    spread = inverse @ (scores.T @ scores) @ inverse * len(made) / (len(made) - 2)
+    if late_s is not None:  # the stamp of the force is known by its prior alone where little tilts
+        spread = spread + inverse @ prior @ inverse
+    std = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    others = [np.linalg.solve(whole - g * weight, target - m * weight) for g, m in zip(gram, moment, strict=True)]
+    errors = tuple(
+        (float(np.mean(y**2)), float(np.mean((y - a @ one) ** 2))) for (a, y), one in zip(made, others, strict=True)
+    )
+    v, f, scale = zip(((late_s or 0.0) - float(found[0]), -float(found[1]), float(found[2])), std.tolist(), strict=True)
+    return Compatibility(*v, *f, *scale, len(made), errors)
 
 
 def _equations(
@@ -152,7 +196,7 @@ def corrected(groups: Mapping[str, Series], found: Compatibility) -> dict[str, S
     for group, late_s in late.items():
         if group in made and abs(late_s) <= LARGEST * PRIOR_S:
             made[group] = Series(made[group].t_s - late_s, made[group].columns)
-    if abs(found.velocity_scale) <= LARGEST * PRIOR_SCALE and abs(found.velocity_late_s) <= LARGEST * PRIOR_S:
+    if abs(found.velocity_scale) <= LARGEST * PRIOR_SCALE and not found.velocity_has_latency:
         v = made["velocity"]
         scaled = {n: v.columns[n] / (1.0 + found.velocity_scale) for n in names("velocity")[:2]}
         made["velocity"] = Series(v.t_s, {**v.columns, **scaled})

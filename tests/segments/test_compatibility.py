@@ -128,3 +128,15 @@ def test_gaps_and_short_flights_say_nothing():
     thin = groups["velocity"]
     holes = Series(thin.t_s[::15], {n: v[::15] for n, v in thin.columns.items()})
     assert compatibility(groups | {"velocity": holes}, FLOWN) is None
+
+
+@pytest.mark.parametrize("late_s", [0.04, 0.15, 0.35, -0.06])
+@pytest.mark.parametrize("tilt", [0.25, 0.05])
+def test_a_latency_of_any_size_is_found_to_a_millisecond_or_so(late_s, tilt):
+    """The equations are linear in what is far less than the periods of the motion, and their prior is one of stamps."""
+    found = compatibility(flight(late_s, 0.004, tilt=tilt), FLOWN, CUTOFF_HZ)
+    assert found.velocity_has_latency
+    assert found.velocity_late_std_s < 0.005
+    assert abs(found.velocity_late_s - late_s) < max(3.0 * found.velocity_late_std_s, 1e-3)
+    before, after = np.sqrt(np.mean(found.errors_m2_s2, axis=0))
+    assert before > 3.0 * after
