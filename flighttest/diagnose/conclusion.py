@@ -88,11 +88,15 @@ def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
     below zero, and the error is above the noise floor."""
     worse = {c: rows["all"] for c, rows in held.items() if rows["all"]["gain_95"][1] < 0.0}
     said = [
-        f"{c} ({row['rmse_after'] / row['rmse_before']:.2g} times the error)"
+        f"{c} ({_larger(row['rmse_after'] / row['rmse_before'])})"
         for c, row in worse.items()
         if row["rmse_after"] > row["floor"]
     ]
     return f" On data not used it predicts worse than the base model: {', '.join(said)}." if said else ""
+
+
+def _larger(ratio: float) -> str:
+    return f"{ratio:.2g} times the error" if ratio >= 2.0 else f"{100.0 * (ratio - 1.0):.1g} % more error"
 
 
 def different_delays(table: Mapping[str, ParameterRow]) -> list[str]:

@@ -28,9 +28,9 @@ from flighttest.segments.model import Segment
 
 CHANNEL = "v"  # of all three velocities together
 UNKNOWNS = 3  # of the kinematics of a recording
-# Of the mean square error of the velocity, on stretches not used, what a latency may leave. Of 41 pilots' logs whose EKF has none to speak
-# of six have one of 36 to 190 ms by their standard errors, and 85 to 97 % left: other errors of the estimate look like it. Latencies of 39
-# to 360 ms added to a log leave less than 10 %.
+# Of the mean square error of the velocity, on stretches not used, what a latency may leave. Six of 41 pilots' logs have one of 36 to 190 ms
+# by their standard errors, and 85 to 97 % of the error stays: other errors of an estimate look like a latency. Latencies of 39 to 360 ms
+# added to a log leave less than 10 %.
 MOST_LEFT = 0.5
 DRAWS = 200
 

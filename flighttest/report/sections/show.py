@@ -27,7 +27,7 @@ from flighttest.report.document import (
 )
 from flighttest.report.numbers import duration, number, percent, unit
 from flighttest.report.packing import coarse
-from flighttest.segments.compatibility import LARGEST, PRIOR_S, Compatibility
+from flighttest.segments.compatibility import Compatibility
 from flighttest.segments.health import AtLimit, BatteryCourse, Sampling, Spectrum
 
 # Standard deviation of vibration: "below 30 m/s/s normally acceptable, above 60 nearly always problems" (ArduPilot, Measuring Vibration).
@@ -282,7 +282,7 @@ def _compatible(found: Compatibility) -> str:
     def late(value_s: float, std_s: float) -> str:
         return f"{number(1000 * abs(value_s), 2)} ± {number(2000 * std_s, 1)} ms {'late' if value_s > 0 else 'early'}"
 
-    far = abs(found.velocity_late_s) > LARGEST * PRIOR_S
+    far = found.velocity_has_latency
     done = "too much for time stamps, and left as it is" if far else "corrected before anything is fitted"
     if not found.determined:
         done = "what was flown does not determine the stamps, and nothing is corrected"
