@@ -23,7 +23,7 @@ from flighttest.physics.blocks import VELOCITY
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.physics.terms.sensor import velocity_latency
-from flighttest.segments.compatibility import PRIOR_S, Compatibility
+from flighttest.segments.compatibility import LARGEST, PRIOR_S, Compatibility
 from flighttest.segments.model import Segment
 
 CHANNEL = "v"  # of all three velocities together
@@ -79,9 +79,15 @@ def by_kinematics(segments: Sequence[Segment], model: Model, pool: Sequence[Term
     Of several recordings the mean, weighted by their variances, with an error that holds what they differ by, and what a stamp may be off
     by: an effect is what comes on top of it.
     """
-    found = list({s.run: s.context.compatibility for s in segments}.values())
-    late = [c for c in found if c is not None and c.velocity_has_latency]
-    if velocity_latency not in pool or len(late) < len(found):
+    every = list({s.run: s.context.compatibility for s in segments}.values())
+    known = [c for c in every if c is not None]
+    if velocity_latency not in pool or len(known) < len(every):
+        return PartAnswer()
+    late = [c for c in known if c.velocity_has_latency]
+    name = velocity_latency.id
+    if not late and all(c.determined for c in known):
+        return PartAnswer(tried=frozenset({name}), levels={name: (LARGEST * PRIOR_S, name)})
+    if len(late) < len(known):
         return PartAnswer()
     value, std, dof = _mean(late)
     p_value = fisher_beyond((value / std) ** 2, 1, dof)
@@ -90,7 +96,7 @@ def by_kinematics(segments: Sequence[Segment], model: Model, pool: Sequence[Term
     if p_value >= level_of(len(pool)) or after > MOST_LEFT * before:
         return PartAnswer()
     made = KinematicsAnswer(p_value=p_value, errors_m2_s2=errors)
-    name, nats = velocity_latency.id, 0.5 * (value / std) ** 2 - 0.5 * float(np.log(len(errors)))
+    nats = 0.5 * (value / std) ** 2 - 0.5 * float(np.log(len(errors)))
     made.accepted, made.terms, made.tried = {name: nats}, (name,), frozenset({name})
     drawn = errors[np.random.default_rng(SEED).integers(0, len(errors), (DRAWS, len(errors)))].mean(axis=1)
     gains = np.sqrt(drawn[:, 0]) - np.sqrt(drawn[:, 1])

@@ -105,10 +105,13 @@ def diagnose(
     still = {s.run for s in usable} <= still_air(weather)[0]
     pool = tuple(t for t in _pool(model, only) if not (still and t.id == WIND_TERM))
     late = by_kinematics(usable, model, pool)
-    recorded, pool = usable, tuple(t for t in pool if t.id not in late.accepted)
+    recorded = usable
     if isinstance(late, KinematicsAnswer):
         usable = in_time(usable, late.late_s)
     own = parts_by_prediction_errors(usable)
+    # By equations an accelerometer shows forces without the velocity: its latency is a matter of kinematics alone.
+    settled = {*late.accepted, *(late.tried if "translation" in own else ())}
+    pool = tuple(t for t in pool if t.id not in settled)
     # The loops of free flight are searched in the frame of the air that the translation shows.
     order, way = (own, one_after_the_other) if "translation" in own else (BLOCKS, support.side_by_side)
     blocks = [b for b in order if b == "translation" or model.attitude_loops]
@@ -206,7 +209,7 @@ def _assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) ->
     tried = {t for a in answers for t in a.tried}
     unseen = _not_testable(asked, answers, tried, complete)
     hidden = {u.term: u.why for u in unseen}
-    units = {p.name: p.unit for t in pool for p in t.params}
+    units = {p.name: p.unit for t in catalogue().values() for p in t.params}
     staying = {c for a in answers for c in a.staying}
     shares = listed(answers, "shares")  # channels count alike, whatever their floors
     share = float(np.mean(shares)) if shares else float(bool(staying))

@@ -11,7 +11,7 @@ holds in every stretch, three axes with one triple of unknowns; v_0, b (what att
 own. Linear least squares after one low-pass filter without phase over all terms, with normal priors (`PRIOR_S`, `PRIOR_SCALE`): what little
 motion shows of them moves them little. Without tilting only the difference of the offsets is known, and nothing is corrected.
 A velocity that comes out later than a stamp may be has a latency: it is moved by what was found and the equations are stated anew about
-there (Gauss-Newton), with no prior on it but that it is less than a second.
+there (Gauss-Newton), without a prior on it.
 Standard errors cluster by stretch. Klein & Morelli, Aircraft System Identification, chapter 10. No vehicle model is involved.
 """
 
@@ -38,7 +38,6 @@ PRIOR_SCALE = 0.015
 # own error takes the place of motion: throttle steps have 2.4 to 3.2 ms, and the force 14 ms late where tilting flights of the same
 # vehicle have it within 2 ms; hovers and yaw steps 5.2 to 10 ms, and velocity 10 to 22 ms late.
 DETERMINED = 0.2
-PRIOR_LATENCY_S = 1.0
 SETTLED_S = 1e-4  # by which the last step moved a latency
 STEPS = 10
 LARGEST = 2.0  # priors; more is no matter of stamps but a latency, which is in the catalogue (`velocity_latency`)
@@ -124,17 +123,17 @@ def _solved(
     moment = np.stack([a.T @ y for a, y in made])
     power = float(np.mean([np.mean(y**2) for _, y in made])) or 1.0
     weight = 1.0 / (power * _RATE_HZ / _CUTOFF_HZ)  # of samples that count once in so many
-    prior = np.diag(np.array([PRIOR_S if late_s is None else PRIOR_LATENCY_S, PRIOR_S, PRIOR_SCALE]) ** -2.0)
-    from_prior = prior @ [late_s or 0.0, 0.0, 0.0]  # of what the velocity is late beyond what it was moved by
-    whole, target = gram.sum(axis=0) * weight + prior, moment.sum(axis=0) * weight + from_prior
-    inverse = np.linalg.inv(whole)
+    prior = np.diag([PRIOR_S**-2 if late_s is None else 0.0, PRIOR_S**-2, PRIOR_SCALE**-2])  # a latency has none
+    whole, target = gram.sum(axis=0) * weight + prior, moment.sum(axis=0) * weight
+    inverse = np.linalg.pinv(whole, hermitian=True)
     found = inverse @ target
     scores = (moment - gram @ found) * weight
     spread = inverse @ (scores.T @ scores) @ inverse * len(made) / (len(made) - 2)
     if late_s is not None:  # the stamp of the force is known by its prior alone where little tilts
         spread = spread + inverse @ prior @ inverse
     std = np.sqrt(np.maximum(np.diag(spread), 0.0))
-    others = [np.linalg.solve(whole - g * weight, target - m * weight) for g, m in zip(gram, moment, strict=True)]
+    without = np.linalg.pinv(whole - gram * weight, hermitian=True)  # each stretch
+    others = np.einsum("sij,sj->si", without, target - moment * weight)
     errors = tuple(
         (float(np.mean(y**2)), float(np.mean((y - a @ one) ** 2))) for (a, y), one in zip(made, others, strict=True)
     )

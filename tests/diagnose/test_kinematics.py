@@ -71,6 +71,14 @@ def test_a_latency_is_one_that_every_recording_shows_and_that_leaves_little(runs
         assert made.estimate.std["velocity_latency"] >= 0.01  # of the stamp
 
 
+def test_a_stamp_is_no_latency_and_a_smaller_one_would_not_be_seen():
+    answer = diagnose(recorded(found(0.004, std_s=0.001)), Model(), only=("velocity_latency",))
+    assert answer.not_needed == ("velocity_latency",)
+    assert answer.smallest_detectable == {"velocity_latency": 0.02}
+    (unknown,) = diagnose(recorded(found(0.004, std_s=0.003)), Model(), only=("velocity_latency",)).untestable
+    assert unknown.term == "velocity_latency"
+
+
 def test_a_latency_that_the_model_holds_is_no_candidate():
     assert not by_kinematics(recorded(found()), Model() + "velocity_latency", ()).terms
 
