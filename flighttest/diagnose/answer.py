@@ -16,7 +16,7 @@ from flighttest.diagnose.model import Finding, Located, Untestable
 from flighttest.diagnose.records import CandidateRow, FloorRow, HeldOutRow, MapCell, Overlay, ParameterRow, RegimeCurve
 from flighttest.diagnose.step_error import StepError
 from flighttest.identify.fit import Fit
-from flighttest.identify.free_flight import FreeFlight
+from flighttest.identify.free_flight.estimate import HeldEstimate
 from flighttest.identify.free_flight.winds import FlightWind
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
@@ -52,7 +52,7 @@ class PartAnswer:
 
     accepted: named terms and what they gain, nats; terms: everything that joined the model; tried: ids of the terms that these recordings
     determine something of; floors, cells, curves, overlaid, errors, left: as in `Diagnosis`; shares: of each channel's excess what stays;
-    staying: channels (short) whose mismatch stays; estimate: of the final model by prediction errors; winds: of each flight.
+    staying: channels (short) whose mismatch stays; held: what prediction errors or kinematics showed of the final model; winds: of flights.
     """
 
     complete: bool = True
@@ -75,7 +75,7 @@ class PartAnswer:
     baselines: dict[str, dict[str, float]] = field(default_factory=dict)
     shares: list[float] = field(default_factory=list)
     staying: set[str] = field(default_factory=set)
-    estimate: FreeFlight | None = None
+    held: HeldEstimate | None = None
     winds: tuple[FlightWind, ...] = ()
 
     def findings(self, asked: Asked, table: Mapping[str, ParameterRow]) -> list[Finding]:

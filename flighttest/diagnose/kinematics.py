@@ -15,18 +15,17 @@ from numpy.typing import NDArray
 from flighttest.diagnose.answer import SEED, Asked, PartAnswer
 from flighttest.diagnose.findings import parameter_in_words, with_owner
 from flighttest.diagnose.model import Finding, Located, TermVerdict
-from flighttest.diagnose.records import CandidateRow, FloorRow, HeldOutRow, ParameterRow
+from flighttest.diagnose.records import CandidateRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.comparison import level_of, probability_of
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
-from flighttest.identify.free_flight import FreeFlight
+from flighttest.identify.free_flight.estimate import HeldEstimate
 from flighttest.physics.blocks import VELOCITY
 from flighttest.physics.core import Term
-from flighttest.physics.model import Model
 from flighttest.physics.terms.sensor import velocity_latency
 from flighttest.segments.compatibility import LARGEST, PRIOR_S, Compatibility
 from flighttest.segments.model import Segment
 
-CHANNEL = "v"  # of all three velocities together
+CHANNEL = "velocity"  # all three together
 UNKNOWNS = 3  # of the kinematics of a recording
 # Of the mean square error of the velocity, on stretches not used, what a latency may leave. Six of 41 pilots' logs have one of 36 to 190 ms
 # by their standard errors, and 85 to 97 % of the error stays: other errors of an estimate look like a latency. Latencies of 39 to 360 ms
@@ -37,16 +36,15 @@ DRAWS = 200
 
 @dataclass
 class KinematicsAnswer(PartAnswer):
-    """That the velocity is late. p_value: of no latency; errors_m2_s2: (stretches, 2) as of `Compatibility`, of all recordings."""
+    """That the velocity is late. p_value: of no latency."""
 
     p_value: float = field(kw_only=True)
-    errors_m2_s2: NDArray[np.float64] = field(kw_only=True)
 
     @property
     def late_s(self) -> float:
         """The latency."""
-        assert self.estimate is not None
-        return self.estimate.values[velocity_latency.id]
+        assert self.held is not None
+        return self.held.values[velocity_latency.id]
 
     def findings(self, asked: Asked, table: Mapping[str, ParameterRow]) -> list[Finding]:
         """The latency, with its interval as the final model has it."""
@@ -73,7 +71,7 @@ class KinematicsAnswer(PartAnswer):
         ]  # fmt: skip
 
 
-def by_kinematics(segments: Sequence[Segment], model: Model, pool: Sequence[Term]) -> PartAnswer:
+def by_kinematics(segments: Sequence[Segment], pool: Sequence[Term]) -> PartAnswer:
     """Whether the velocity of all these recordings is late, where that is a candidate.
 
     Of several recordings the mean, weighted by their variances, with an error that holds what they differ by, and what a stamp may be off
@@ -95,7 +93,7 @@ def by_kinematics(segments: Sequence[Segment], model: Model, pool: Sequence[Term
     before, after = errors.mean(axis=0)
     if p_value >= level_of(len(pool)) or after > MOST_LEFT * before:
         return PartAnswer()
-    made = KinematicsAnswer(p_value=p_value, errors_m2_s2=errors)
+    made = KinematicsAnswer(p_value=p_value)
     nats = 0.5 * (value / std) ** 2 - 0.5 * float(np.log(len(errors)))
     made.accepted, made.terms, made.tried = {name: nats}, (name,), frozenset({name})
     drawn = errors[np.random.default_rng(SEED).integers(0, len(errors), (DRAWS, len(errors)))].mean(axis=1)
@@ -108,7 +106,6 @@ def by_kinematics(segments: Sequence[Segment], model: Model, pool: Sequence[Term
         gain_95=np.quantile(gains, [0.025, 0.975]).tolist(),
     )
     made.heldout = {CHANNEL: {"all": row}}
-    made.floors = {CHANNEL: FloorRow({"value": rmse_after, "from": "what kinematics leave of the velocity"})}
     made.located = [_place(segments, rmse_before, rmse_after)]
     made.shares = [0.0]
     made.candidates = [
@@ -117,10 +114,7 @@ def by_kinematics(segments: Sequence[Segment], model: Model, pool: Sequence[Term
             floors=rmse_before / max(rmse_after, 1e-6), why=f"by kinematics, p {p_value:.1g}",
         )
     ]  # fmt: skip
-    made.estimate = FreeFlight(
-        model.with_terms(velocity_latency), (name,), {name: value}, np.array([[std**2 + PRIOR_S**2]]), {}, {CHANNEL: rmse_after},
-        4.0 * len(errors), tuple({s.run: s for s in segments}), 0, True, 0.0, "kinematics", 0.01, blocks=round(dof) + 1,
-    )  # fmt: skip
+    made.held = HeldEstimate((name,), {name: value}, np.array([[std**2 + PRIOR_S**2]]), dof)
     return made
 
 

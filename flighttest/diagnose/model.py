@@ -28,7 +28,7 @@ from flighttest.diagnose.records import (
 )
 from flighttest.diagnose.step_error import StepError
 from flighttest.identify.fit import Fit
-from flighttest.identify.free_flight import FreeFlight
+from flighttest.identify.free_flight.estimate import HeldEstimate
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
 from flighttest.script.model import ScriptData
@@ -134,8 +134,8 @@ class Diagnosis:
     floor, gain_95}; set_aside: responses that something pushed once, by name, and a sentence on them; baselines: name to channel to RMSE;
     residual_map: cells of the heat map; regimes: residual against the variable that explains it; overlays: worst responses,
     measured, before, after; complete: False when it was interrupted; fit: of the accepted model, what model.yaml is written from;
-    estimates: of its parts by prediction errors; winds: of each flight, where free flight shows one; errors, left: what the base model and
-    the accepted one get wrong of each step.
+    held: what of it output error did not estimate; winds: of each flight, where free flight shows one; errors, left: what the base model
+    and the accepted one get wrong of each step.
     """
 
     verdict: Verdict
@@ -173,14 +173,14 @@ class Diagnosis:
     errors: tuple[StepError, ...] = field(default=(), repr=False)
     left: tuple[StepError, ...] = field(default=(), repr=False)
     fit: Fit | None = field(default=None, repr=False)
-    estimates: tuple[FreeFlight, ...] = field(default=(), repr=False)
+    held: tuple[HeldEstimate, ...] = field(default=(), repr=False)
 
     def to_json(self) -> DiagnosisData:
         """As in diagnosis.json (format diagnosis/1): plain JSON types only, null for what is not a number."""
         data = {
             k: getattr(self, k)
             for k in self.__dataclass_fields__
-            if k not in ("model", "values", "verdict", "next_script", "errors", "left", "fit", "estimates")
+            if k not in ("model", "values", "verdict", "next_script", "errors", "left", "fit", "held")
         }
         head = {"format": "diagnosis/1", "verdict": self.verdict.name, "terms": list(self.model.terms)}
         return cast(DiagnosisData, head | _plain(data))

@@ -104,7 +104,7 @@ def diagnose(
         model = replace(model, attitude_loops=False)
     still = {s.run for s in usable} <= still_air(weather)[0]
     pool = tuple(t for t in _pool(model, only) if not (still and t.id == WIND_TERM))
-    late = by_kinematics(usable, model, pool)
+    late = by_kinematics(usable, pool)
     recorded = usable
     if isinstance(late, KinematicsAnswer):
         usable = in_time(usable, late.late_s)
@@ -240,7 +240,7 @@ def _assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) ->
         model=final,
         values={k: v for k, v in final_fit.values.items() if k in final.names},
         fit=final_fit,
-        estimates=tuple(a.estimate for a in answers if a.estimate),
+        held=tuple(a.held for a in answers if a.held),
         accepted=accepted,
         before=before,
         after=after,
@@ -318,7 +318,7 @@ def _final_fit(
 ) -> Fit:
     """The final model, fitted to every response; model.yaml, the report and the findings print its values and intervals. What prediction
     errors showed is held there; they are in the frame of the air."""
-    estimates = [a.estimate for a in answers if a.estimate]
+    estimates = [a.held for a in answers if a.held]
     if final == asked.model and asked.base and not estimates:
         return asked.base
     held: dict[str, float] = {}

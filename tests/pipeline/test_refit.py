@@ -24,7 +24,7 @@ def test_the_model_file_of_a_diagnosis_holds_its_own_fit_but_for_what_the_base_m
     monkeypatch.setattr(diagnosis, "fit_of_estimates", fit_of_estimates)
     monkeypatch.setattr(diagnosis, "known_before", lambda _fitted, _base: known)
     own = SimpleNamespace(values={"K": 50.0}, start=Start({"K": 50.0}), problem=SimpleNamespace(segments=("one",)))
-    found = SimpleNamespace(values={}, model=Model(("linear_drag",)), fit=own, estimates=("loops",))
+    found = SimpleNamespace(values={}, model=Model(("linear_drag",)), fit=own, held=("loops",))
     fitted, kept = diagnosis.refit(found)
     assert kept == tuple(known)
     assert fitted is (held if known else own)

@@ -66,7 +66,7 @@ def by_prediction_errors(part: str, asked: Asked, winds: Sequence[FlightWind] = 
         if not loops:
             raise
         return PartAnswer(notes=[f"nothing in this recording moves the {PART_IN_WORDS[part]}: it is left out"])
-    made = PredictionErrorAnswer(complete=search.complete, search=search, estimate=search.final, winds=search.winds)
+    made = PredictionErrorAnswer(complete=search.complete, search=search, held=search.final.held, winds=search.winds)
     made.terms = tuple(t for t in search.final.model.terms if t not in model.terms and t != WIND_TERM)
     made.accepted = {t: n.nats for t, n in search.named.items()}
     known = {*search.named, *search.refused, *made.terms, *(one.term for one in search.screened)}

@@ -14,7 +14,7 @@ from flighttest.estimation.solver import Start, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
 from flighttest.identify.diagnostics.identifiability import Estimated, judge
 from flighttest.identify.fit import Estimate, Fit, fit, has_attitude_references
-from flighttest.identify.free_flight.estimate import FreeFlight, determined, estimate
+from flighttest.identify.free_flight.estimate import HeldEstimate, determined, estimate
 from flighttest.identify.free_flight.stretches import stretches
 from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model
@@ -56,7 +56,7 @@ def fit_by_prediction_errors(
         names = [n for n in determined(flown, model) if n not in held]
         of = replace(model, attitude_loops=False) if part == "translation" else model
         try:
-            found.append(estimate(flown, of, part=part, start=held, free=names))
+            found.append(estimate(flown, of, part=part, start=held, free=names).held)
         except FitError:  # no reference of the loops moves
             if part == "translation":
                 raise
@@ -66,7 +66,7 @@ def fit_by_prediction_errors(
 def fit_of_estimates(
     windows: Sequence[Segment],
     model: Model,
-    found: Sequence[FreeFlight],
+    found: Sequence[HeldEstimate],
     *,
     start: Start | None = None,
     frozen: Mapping[str, float] | None = None,
@@ -81,17 +81,16 @@ def fit_of_estimates(
     return made
 
 
-def _with_errors(made: Fit, found: FreeFlight) -> Fit:
+def _with_errors(made: Fit, found: HeldEstimate) -> Fit:
     """A fit that was held at an estimate, with that estimate's standard errors and covariance."""
     names = [n for n in found.names if n in made.estimates and made.estimates[n].source == "frozen"]
     estimates = dict(made.estimates)
-    dof = float(max(found.blocks - len(found.names), 1))
-    std = found.std
+    dof, std = found.dof, dict(zip(found.names, np.sqrt(np.diag(found.covariance)).tolist(), strict=True))
     reveals = {p.name: t.reveals for t in made.model.built_terms for p in t.params}
     for n in names:
         e, p, half = estimates[n], made.model.param[n], interval_factor(dof) * std[n]
         # The coefficients of a term are there by what they do together, however wide the error of one.
-        assumed = n in found.priors and (p.kind != "amplitude" or p.off is None)
+        assumed = n in found.assumed and (p.kind != "amplitude" or p.off is None)
         known_std = std[n] if np.isfinite(std[n]) and not assumed else None
         at_bound = not p.lower < e.value < p.upper
         known = judge(p, Estimated(e.value, known_std, assumed, at_bound), made.voltage_spread_v, reveals.get(n, ""))

@@ -71,6 +71,18 @@ LEANS = 0.7  # of its prior's standard deviation: a parameter with a larger erro
 
 
 @dataclass(frozen=True)
+class HeldEstimate:
+    """Parameters that a fit by output error takes as they are. values: by name; covariance (q, q) in the order of `names`; dof: degrees of
+    freedom of its intervals; assumed: names whose error is mostly a prior's."""
+
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    covariance: FloatArray
+    dof: float
+    assumed: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
 class FreeFlight:
     """What free flight shows of one part of the model: its translation, or its attitude loops.
 
@@ -100,9 +112,15 @@ class FreeFlight:
     inflation: float = 1.0
     blocks: int = 0
 
+    @property
+    def held(self) -> HeldEstimate:
+        """The estimate as a fit by output error takes it, with the degrees of freedom of the blocks of its covariance."""
+        dof = float(max(self.blocks - len(self.names), 1))
+        return HeldEstimate(self.names, self.values, self.covariance, dof, self.priors)
+
     def factor(self, level: float = 0.95) -> float:
-        """Half an interval in standard errors (Student's t of the blocks of the covariance)."""
-        return interval_factor(float(max(self.blocks - len(self.names), 1)), level)
+        """Half an interval in standard errors (Student's t)."""
+        return interval_factor(self.held.dof, level)
 
     @property
     def std(self) -> dict[str, float]:

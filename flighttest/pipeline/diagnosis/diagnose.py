@@ -136,7 +136,7 @@ def refit(found: Diagnosis, base: ModelFile | None = None) -> tuple[Fit, tuple[s
     known = known_before(fitted, base)
     if not known:
         return fitted, ()
-    again = fit_of_estimates(fitted.problem.segments, found.model, found.estimates, start=fitted.start, frozen=known)
+    again = fit_of_estimates(fitted.problem.segments, found.model, found.held, start=fitted.start, frozen=known)
     return again, tuple(known)
 
 
