@@ -118,6 +118,17 @@ def test_a_fit_and_a_diagnosis_print_the_same_values_and_intervals():
         assert found.before[name]["interval_95"] == pytest.approx(one.interval_95)
 
 
+def test_a_parameter_that_is_held_stays_and_the_others_are_estimated_beside_it():
+    """A fit with --freeze went to output error, and answered otherwise than one without."""
+    held = fit_by_prediction_errors(piloted(60.0, 0), Model(), ALL, {"omega_phi": TRUTH["omega_phi"]})
+    assert held.estimates["omega_phi"].source == "frozen"
+    assert held.values["omega_phi"] == TRUTH["omega_phi"]
+    for name in TRUTH.keys() - {"omega_phi"}:
+        one = held.estimates[name]
+        assert one.source == "fit"
+        assert abs(one.value - TRUTH[name]) < 4.0 * one.std
+
+
 def test_an_interrupt_while_the_loops_are_searched_keeps_the_translation(monkeypatch):
     """It lost the whole diagnosis."""
 
