@@ -49,7 +49,9 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "diagnose/residuals/lack_of_fit.py": SELECTION,
     "diagnose/residuals/discrepancy.py": SELECTION,
     "diagnose/residuals/outlying.py": ("tests/diagnose/test_outlying.py",),
+    "diagnose/kinematics.py": ("tests/diagnose/test_kinematics.py",),
     "identify/free_flight/loops.py": ("tests/identify/test_attitude_loops.py",),
+    "identify/free_flight/equation_fit.py": ("tests/identify/test_attitude_loops.py",),
     "estimation/gauss_newton.py": ("tests/estimation",),
     "estimation/likelihood_weights.py": ("tests/estimation",),
     "estimation/uncertainty/covariance.py": ("tests/estimation",),
@@ -64,6 +66,7 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
 }
 # Of these a factor of two changes the time taken, a resolution far below what matters, or a picture, and no answer.
 NO_DECISION = {
+    "diagnose/kinematics.py": ("DRAWS",),
     "diagnose/selection/subsets.py": ("CHUNK", "LARGEST", "SETTINGS"),
     "diagnose/selection/held_out.py": ("BOOTSTRAPS", "FOLDS", "RIDGE"),
     "diagnose/selection/detectability.py": ("NEVER",),

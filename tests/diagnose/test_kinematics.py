@@ -57,6 +57,8 @@ def test_a_late_velocity_is_named_and_the_rest_sees_it_at_its_time():
         ((found(), None), False),  # of a recording without accelerometer nothing is known
         ((found(0.015),), False),  # a stamp
         ((found(std_s=0.05),), False),
+        ((found(std_s=LATE_S / 12.0, stretches=7),), True),  # t with 4 degrees of freedom
+        ((found(std_s=LATE_S / 8.0, stretches=7),), False),
         ((found(left=0.45),), True),
         ((found(left=0.55),), False),  # other errors of the estimate look like a latency
     ],
