@@ -88,20 +88,21 @@ def compatibility(
     ):
         return None
     attitude, force, velocity = (s for s in series if s is not None)
-    found = _solved((attitude, force, velocity), flown, cutoff_hz)
-    if found is None or not found.velocity_has_latency:
-        return found
-    first, late_s = found, 0.0
+    solved = _solved((attitude, force, velocity), flown, cutoff_hz)
+    if solved is None or not solved[0].velocity_has_latency:
+        return None if solved is None else solved[0]
+    first, recorded = solved
+    late_s = 0.0
     for _ in range(STEPS):
         moved = Series(velocity.t_s - late_s, velocity.columns)
-        found = _solved((attitude, force, moved), flown, cutoff_hz, late_s)
-        if found is None:
-            return first
+        if (solved := _solved((attitude, force, moved), flown, cutoff_hz, late_s)) is None:
+            break
+        found, corrected_by = solved
         step, late_s = found.velocity_late_s - late_s, found.velocity_late_s
         if abs(step) < SETTLED_S:
-            break
-    recorded = tuple((b, a) for (b, _), (_, a) in zip(first.errors_m2_s2, found.errors_m2_s2, strict=False))
-    return replace(found, errors_m2_s2=recorded)
+            errors = tuple((recorded[t][0], after) for t, (_, after) in corrected_by.items() if t in recorded)
+            return replace(found, errors_m2_s2=errors)
+    return first
 
 
 def _solved(
@@ -109,19 +110,20 @@ def _solved(
     flown: Sequence[tuple[float, float]],
     cutoff_hz: float | None,
     late_s: float | None = None,
-) -> Compatibility | None:
-    """late_s: by which a velocity that has a latency was moved already; None for stamps, with their priors."""
-    made = []
+) -> tuple[Compatibility, dict[float, tuple[float, float]]] | None:
+    """What the equations show, and of each stretch, by its start, s, the mean square error as it stands and corrected by the others.
+    late_s: by which a velocity that has a latency was moved already; None for stamps, with their priors."""
+    made = {}
     for begin, end in flown:
         for start in np.arange(begin, end - _STRETCH_S, _STRETCH_S):
             equations = _equations(series, float(start), cutoff_hz)
             if equations is not None:
-                made.append(equations)
+                made[float(start)] = equations
     if len(made) < _SHORTEST:
         return None
-    gram = np.stack([a.T @ a for a, _ in made])
-    moment = np.stack([a.T @ y for a, y in made])
-    power = float(np.mean([np.mean(y**2) for _, y in made])) or 1.0
+    gram = np.stack([a.T @ a for a, _ in made.values()])
+    moment = np.stack([a.T @ y for a, y in made.values()])
+    power = float(np.mean([np.mean(y**2) for _, y in made.values()])) or 1.0
     weight = 1.0 / (power * _RATE_HZ / _CUTOFF_HZ)  # of samples that count once in so many
     prior = np.diag([PRIOR_S**-2 if late_s is None else 0.0, PRIOR_S**-2, PRIOR_SCALE**-2])  # a latency has none
     whole, target = gram.sum(axis=0) * weight + prior, moment.sum(axis=0) * weight
@@ -134,11 +136,12 @@ def _solved(
     std = np.sqrt(np.maximum(np.diag(spread), 0.0))
     without = np.linalg.pinv(whole - gram * weight, hermitian=True)  # each stretch
     others = np.einsum("sij,sj->si", without, target - moment * weight)
-    errors = tuple(
-        (float(np.mean(y**2)), float(np.mean((y - a @ one) ** 2))) for (a, y), one in zip(made, others, strict=True)
-    )
+    errors = {
+        start: (float(np.mean(y**2)), float(np.mean((y - a @ one) ** 2)))
+        for (start, (a, y)), one in zip(made.items(), others, strict=True)
+    }
     v, f, scale = zip(((late_s or 0.0) - float(found[0]), -float(found[1]), float(found[2])), std.tolist(), strict=True)
-    return Compatibility(*v, *f, *scale, len(made), errors)
+    return Compatibility(*v, *f, *scale, len(made), tuple(errors.values())), errors
 
 
 def _equations(

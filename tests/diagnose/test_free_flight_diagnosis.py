@@ -97,7 +97,10 @@ def test_where_nothing_is_missing_nothing_is_named():
 
 
 def test_declared_still_air_is_no_candidate():
-    assert "steady_wind" not in find_terms(stretches(calm()), ALONE, POOL, weather={"calm": "still"}).offered
+    found = diagnose(calm(), Model(), weather={"calm": "still"}, only=("steady_wind",))
+    assert not found.candidates
+    assert not found.not_needed
+    assert not found.untestable
 
 
 def test_flights_in_two_winds_share_one_model_in_still_air():

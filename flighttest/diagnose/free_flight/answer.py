@@ -54,13 +54,13 @@ def by_prediction_errors(part: str, asked: Asked, winds: Sequence[FlightWind] = 
     FitError where the translation cannot be estimated. An interrupt (KeyboardInterrupt) ends the search; what is known is reported.
     """
     loops = part != "translation"
-    air = in_still_air(asked.segments, winds)  # moments of the air are by the velocity through it
+    # Moments of the air are by the velocity through it.
+    segments = in_still_air(asked.segments, winds) if loops else asked.segments
     model = asked.model if loops else replace(asked.model, attitude_loops=False)
     start = {k: v[0] for k, v in asked.previous.items()}
     try:
         search = find_terms(
-            stretches(air if loops else asked.segments, part), model, asked.pool, part=part, weather=asked.weather, start=start,
-            progress=asked.tell,
+            stretches(segments, part), model, asked.pool, part=part, weather=asked.weather, start=start, progress=asked.tell,
         )  # fmt: skip
     except FitError:
         if not loops:
@@ -85,7 +85,7 @@ def by_prediction_errors(part: str, asked: Asked, winds: Sequence[FlightWind] = 
             for t in asked.pool
             if block_of(t) == part and t.id not in search.offered and not missing_channels(t, asked.segments)
         ]
-    _compare(made, asked.segments, in_still_air(asked.segments, search.winds) if not loops else air)
+    _compare(made, asked.segments, segments if loops else in_still_air(segments, search.winds))
     return made
 
 

@@ -124,8 +124,6 @@ def find_terms(
     known = {t.id: t for t in pool if seen_by_equations(t, model, part) and not missing_channels(t, tuple(flown))}
     if any(np.isfinite(s.y.get("f_x_m_s2", np.nan)).any() for s in flown):
         known.pop(LATENCY, None)  # an accelerometer shows forces without the velocity
-    if set(base.flights) <= declared:
-        known.pop(WIND_TERM, None)
     found = EquationSearch(flown, base, base, offered=tuple(known), declared=declared)
     found.turned = part != "translation" or turned(flown)
     try:
