@@ -117,7 +117,9 @@ class FlownTrial:
             r.name: [(s.t_s[0] - STEP_MARGIN_S, s.t_s[-1]) for s in segments if s.run == r.name and s.kind != "free"]
             for r in recordings
         }
-        vehicle = OracleVehicle.fitted(left.parameters, nominal_voltage_v, answer_1_s)
+        # Steps that a script asked for have references of their own; loops that somebody steered need their innovations.
+        steered = oracle.steered_loops(segments) if all(s.steered for s in segments) else {}
+        vehicle = OracleVehicle.fitted({**left.parameters, **steered}, nominal_voltage_v, answer_1_s)
         return cls(recordings, vehicle, steps, left, noise)
 
     def with_effects(self, effects: Effects) -> tuple[Recording, ...]:

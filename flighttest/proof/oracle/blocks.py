@@ -1,21 +1,12 @@
-"""The oracle: how large a hidden effect is, and what looks like it, from flights alone. Must not share a line with the code it judges.
-
-One vehicle flies the campaign without noise and gusts, once with the effect and once without. The paper's equations, integrated here by
-linear filters and fitted by scipy on finite differences, are refitted to each flight; what they leave of the first and not of the second
-is what no base parameter copies. It is counted in noise floors: the spread of what they leave of the recorded flight, with its noise,
-less what they leave of the same flight without.
-"""
+"""The paper's equations as the oracle integrates them: linear filters on responses side by side."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
 
 from flighttest.frames import G_M_S2
@@ -25,158 +16,21 @@ FloatArray = NDArray[np.float64]
 
 STEP_S = 0.02  # responses are compared on this grid
 PARTS = 4  # inputs are held for a part of it
-LEAST_SAMPLES = 60  # a place (channel and kind of maneuver) needs before its RMS means something
-CONFUSABLE = 0.95  # cosine of what two effects leave, above which no diagnosis can be asked to distinguish them
 TILTED = ("roll_step", "pitch_step", "tilt_throttle")
-# First weights: (std of a sample, std of the disturbance of a response); the flights' own follow.
-FIRST = {"roll_rad": 0.003, "pitch_rad": 0.003, "r_rad_s": 0.02} | {
-    f"{k}_{axis}_{unit}": std for k, unit, std in (("f", "m_s2", 0.2), ("v", "m_s", 0.03)) for axis in "xyz"
-}
-FIRST_DISTURBANCE = {"roll_pitch": 0.003, "yaw": 0.01, "translation": 0.05}
 
 
-@dataclass(frozen=True)
-class OracleNoise:
-    """std: of a sample, by channel; disturbance: of the constant one of a response, by block (rad, rad/s, m/s^2)."""
-
-    std: dict[str, float]
-    disturbance: dict[str, float]
-
-    def of_residual(self, left: Left) -> OracleNoise:
-        """The same with samples as far as the base model leaves them: what is noise beside a difference of two flights."""
-        return replace(self, std=self.std | {c: float(np.std(x)) for c, x in _pooled(left.residual).items()})
-
-
-@dataclass(frozen=True)
-class Left:
-    """What a refitted base leaves of one flight. residual: (response, channel) to (n,) in the channel's unit, from the same time before
-    its step on; kinds: response to its kind; disturbance: (response, block) to what was estimated; parameters: block to its theta,
-    NaN where the fit ended at a bound."""
-
-    residual: Mapping[tuple[str, str], FloatArray]
-    kinds: Mapping[str, str]
-    disturbance: Mapping[tuple[str, str], FloatArray]
-    parameters: Mapping[str, FloatArray]
-
-    def less(self, other: Left) -> Left:
-        """The difference to another flight, where both have a response."""
-        both = {}
-        for key in self.residual.keys() & other.residual.keys():
-            n = min(self.residual[key].size, other.residual[key].size)
-            both[key] = self.residual[key][:n] - other.residual[key][:n]
-        change = {k: v - other.disturbance[k] for k, v in self.disturbance.items() if k in other.disturbance}
-        return replace(self, residual=both, disturbance=change)
-
-    def places(self) -> dict[tuple[str, str], FloatArray]:
-        """(channel, kind of maneuver) to all samples, where there are enough."""
-        kinds = sorted(set(self.kinds.values()))
-        found: dict[tuple[str, str], FloatArray] = {}
-        for kind in kinds:
-            here = {k: v for k, v in self.residual.items() if self.kinds[k[0]] == kind}
-            found |= {(channel, kind): x for channel, x in _pooled(here).items() if x.size >= LEAST_SAMPLES}
-        return found
-
-
-def size_in_floors(effect: Left, noise: OracleNoise) -> float:
-    """Largest RMS over a place, in noise floors."""
-    sizes = (float(np.sqrt(np.mean(x**2))) / noise.std[channel] for (channel, _), x in effect.places().items())
-    return max(sizes, default=0.0)
-
-
-def force_left(effect: Left) -> float:
-    """RMS specific force, m/s^2, all axes."""
-    axes = {c: x for c, x in _pooled(effect.residual).items() if c.startswith("f_")}
-    return float(np.sqrt(sum(np.mean(x**2) for x in axes.values())))
-
-
-def _pooled(values: Mapping[tuple[str, str], FloatArray]) -> dict[str, FloatArray]:
-    """(response, channel or block) to values: all of one channel or block."""
-    found: dict[str, list[FloatArray]] = {}
-    for key, value in sorted(values.items()):
-        found.setdefault(key[1], []).append(value.ravel())
-    return {k: np.concatenate(v) for k, v in found.items()}
-
-
-def cosine(one: Left, other: Left, noise: OracleNoise) -> float:
-    """Between what two effects leave, in noise floors."""
-    keys = sorted(one.residual.keys() & other.residual.keys())
-    pairs = []
-    for key in keys:
-        n = min(one.residual[key].size, other.residual[key].size)
-        pairs.append((one.residual[key][:n] / noise.std[key[1]], other.residual[key][:n] / noise.std[key[1]]))
-    a, b = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
-    return float(abs(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12))
-
-
-def oracle_noise(recorded: Sequence[Segment], quiet: Sequence[Segment], nominal_voltage_v: float) -> OracleNoise:
-    """From a recorded flight and the same without noise and gusts."""
-    noise = OracleNoise(FIRST, FIRST_DISTURBANCE)
-    for _ in range(2):
-        apart = left(recorded, noise, nominal_voltage_v).less(left(quiet, noise, nominal_voltage_v))
-        noise = OracleNoise(
-            noise.std | {c: float(np.std(x)) for c, x in _pooled(apart.residual).items()},
-            noise.disturbance | {b: float(np.sqrt(np.mean(x**2))) for b, x in _pooled(apart.disturbance).items()},
-        )
-    return noise
-
-
-def left(
-    segments: Sequence[Segment],
-    noise: OracleNoise,
-    nominal_voltage_v: float,
-    free: bool = False,
-    near: Left | None = None,
-) -> Left:
-    """What the base model leaves after a fit of its own to these responses; free: windows of free flight count, too. near: of another
-    flight, from whose parameters the fit starts, so that two flights differ by what was flown and not by the optimum reached."""
-    usable = [s for s in segments if s.usable and (free or s.kind != "free")]
-    residual: dict[tuple[str, str], FloatArray] = {}
-    disturbance: dict[tuple[str, str], FloatArray] = {}
-    parameters: dict[str, FloatArray] = {}
-    for block in (_RollPitch(), _Yaw(), Translation(nominal_voltage_v)):
-        fed = [s for s in usable if _feeds(s, block)]
-        if not fed:
-            continue
-        data = _Responses(fed)
-        std = np.array([noise.std[c] for c in block.channels])
-        whiten = data.mask[:, :, None] * np.stack([data.recorded(c) for c in block.channels], axis=1)[:, None] / std
-        spread = noise.disturbance.get(block.name, FIRST_DISTURBANCE[block.name])
-
-        usual = np.array(block.start(data))
-        known = None if near is None else near.parameters.get(block.name)
-        fitted = least_squares(
-            partial(_misfit, block, data, whiten, spread),
-            usual if known is None or not np.isfinite(known).all() else known,
-            x_scale=np.abs(usual) * 0.1 + 1e-3,
-            bounds=block.bounds,
-            ftol=1e-7,
-            xtol=1e-7,
-            max_nfev=30,
-        )
-        parameters[block.name] = np.where(fitted.active_mask == 0, fitted.x, np.nan)
-        rows, constant = _profiled(*block.of(data, fitted.x), whiten, spread)
-        for i, s in enumerate(fed):
-            disturbance[s.name, block.name] = constant[i]
-            there = [(k, c) for k, c in enumerate(block.channels) if data.recorded(c)[i]]
-            residual |= {(s.name, c): rows[i, : data.n[i], k] * std[k] for k, c in there}
-    return Left(residual, {s.name: s.kind for s in usable}, disturbance, parameters)
-
-
-def _known(segment: Segment, channel: str) -> bool:
+def recorded_in(segment: Segment, channel: str) -> bool:
+    """Whether a segment has a channel."""
     return channel in segment.y and bool(np.isfinite(segment.y[channel]).sum() > 1)
 
 
-def _feeds(segment: Segment, block: _Block) -> bool:
+def feeds(segment: Segment, block: OracleBlock) -> bool:
     """Whether a response moves what a block describes, its inputs are known and some of its channels were recorded."""
     moved = not block.kinds or segment.kind in (*block.kinds, "free")
-    return moved and set(block.inputs) <= set(segment.u) and any(_known(segment, c) for c in block.channels)
+    return moved and set(block.inputs) <= set(segment.u) and any(recorded_in(segment, c) for c in block.channels)
 
 
-def _misfit(block: _Block, data: _Responses, whiten: FloatArray, spread: float, theta: FloatArray) -> FloatArray:
-    return _profiled(*block.of(data, theta), whiten, spread)[0].ravel()
-
-
-def _profiled(
+def profiled(
     residual: FloatArray, free: FloatArray, disturbed: FloatArray, whiten: FloatArray, spread: float
 ) -> tuple[FloatArray, FloatArray]:
     """Of m responses (m, n, c): what is left, whitened, with initial states (m, n, c, k) and disturbances (m, n, c, j) at their likeliest,
@@ -190,7 +44,7 @@ def _profiled(
     return (white - np.matmul(columns, local)[..., 0]).reshape(residual.shape), local[:, k:, 0]
 
 
-class _Responses:
+class OracleResponses:
     """Responses side by side: t_s (m, n) since the step, n of each, mask (m, n) where they last; channels hold their last value after."""
 
     def __init__(self, segments: Sequence[Segment]) -> None:
@@ -205,7 +59,7 @@ class _Responses:
 
     def recorded(self, channel: str) -> NDArray[np.bool_]:
         """(m,) whether a channel was recorded in each."""
-        return np.array([_known(s, channel) for s in self._segments])
+        return np.array([recorded_in(s, channel) for s in self._segments])
 
     def y(self, channel: str, unrecorded: float = 0.0) -> FloatArray:
         """(m, n) what was measured."""
@@ -216,7 +70,7 @@ class _Responses:
     def _on_grid(self, channel: str, unrecorded: float) -> FloatArray:
         rows = []
         for s, since, at in zip(self._segments, self._since, self.t_s, strict=True):
-            if _known(s, channel):
+            if recorded_in(s, channel):
                 known = np.isfinite(s.y[channel])
                 rows.append(np.interp(at, since[known], s.y[channel][known]))
             else:
@@ -229,7 +83,7 @@ class _Responses:
         rows = []
         for s, at in zip(self._segments, self.t_s, strict=True):
             edges, value = s.u[channel]
-            if _known(s, own):
+            if recorded_in(s, own):
                 known = np.isfinite(s.y[own])
                 edges, value = s.t_s[known], s.y[own][known]
             ends = at[0] + np.arange(PARTS * (at.size - 1) + 1) * (STEP_S / PARTS) - delay_s
@@ -247,7 +101,7 @@ def _answer(numerator: Sequence[float], denominator: Sequence[float], held: Floa
     return np.asarray(lfilter(np.ravel(b), a, after)[..., ::PARTS])
 
 
-class _Block(ABC):
+class OracleBlock(ABC):
     """Part of the base model, on the kinds of response that feed it (all, where none are named)."""
 
     name: str
@@ -257,15 +111,15 @@ class _Block(ABC):
     bounds: tuple[Sequence[float], Sequence[float]]
 
     @abstractmethod
-    def start(self, r: _Responses) -> Sequence[float]:
+    def start(self, r: OracleResponses) -> Sequence[float]:
         """Where a fit begins."""
 
     @abstractmethod
-    def of(self, r: _Responses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def of(self, r: OracleResponses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(m, n, c) residual from rest, (m, n, c, k) what initial states of one add, (m, n, c, j) what disturbances of one add."""
 
 
-class _RollPitch(_Block):
+class RollPitchLoops(OracleBlock):
     """phi'' = omega^2 (phi_ref(t - T) + d - phi) - 2 zeta omega phi', pitch alike; theta: omega, zeta of both, T.
     phi_ref: what the loops follow, the autopilot's own target behind its shaping where that was recorded."""
 
@@ -273,10 +127,12 @@ class _RollPitch(_Block):
     inputs = ("roll_ref_rad", "pitch_ref_rad")
     bounds = ((1.0, 0.02, 1.0, 0.02, 0.0), (120.0, 3.0, 120.0, 3.0, 0.4))
 
-    def start(self, r: _Responses) -> Sequence[float]:
+    def start(self, r: OracleResponses) -> Sequence[float]:
+        """As `OracleBlock.start`."""
         return 12.0, 0.7, 12.0, 0.7, 0.08
 
-    def of(self, r: _Responses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def of(self, r: OracleResponses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `OracleBlock.of`."""
         m, n = r.t_s.shape
         residual, free, disturbed = np.zeros((m, n, 2)), np.zeros((m, n, 2, 4)), np.zeros((m, n, 2, 2))
         for k, axis in enumerate(("roll", "pitch")):
@@ -291,22 +147,24 @@ class _RollPitch(_Block):
         return residual, free, disturbed
 
 
-class _Yaw(_Block):
+class YawLoop(OracleBlock):
     """r' = sigma (r_ref(t - T) + d - r); theta: sigma, T."""
 
     name, channels, kinds, inputs = "yaw", ("r_rad_s",), ("yaw_rate_step",), ("yaw_rate_ref_rad_s",)
     bounds = ((0.3, 0.0), (150.0, 0.4))
 
-    def start(self, r: _Responses) -> Sequence[float]:
+    def start(self, r: OracleResponses) -> Sequence[float]:
+        """As `OracleBlock.start`."""
         return 6.0, 0.08
 
-    def of(self, r: _Responses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def of(self, r: OracleResponses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `OracleBlock.of`."""
         answer = _answer((theta[0],), (1.0, theta[0]), r.held("yaw_rate_ref_rad_s", theta[1]))
         decay = np.exp(-theta[0] * (r.t_s - r.t_s[:, :1]))[..., None, None]
         return (r.y("r_rad_s") - answer)[..., None], decay, 1.0 - decay
 
 
-class Translation(_Block):
+class Translation(OracleBlock):
     """a' = sigma (K (U/U_n)^alpha T(t - T_d) - a); f = a e_z - D R'v + R'd; v' = R f - g; theta: sigma, K, alpha, T_d, D (3)."""
 
     name, inputs = "translation", ("throttle",)
@@ -316,14 +174,14 @@ class Translation(_Block):
     def __init__(self, nominal_voltage_v: float) -> None:
         self.nominal_voltage_v = nominal_voltage_v
 
-    def start(self, r: _Responses) -> Sequence[float]:
+    def start(self, r: OracleResponses) -> Sequence[float]:
         """sigma_t, K, alpha, delay and drag to start from."""
         f, throttle = np.mean(r.y("f_z_m_s2"), axis=1), np.mean(r.held("throttle", 0.08), axis=1)
         lifts = np.where(r.recorded("f_z_m_s2"), f, G_M_S2)
         return 12.0, float(np.median(lifts / np.maximum(throttle, 0.01))), 1.5, 0.08, 0.3, 0.3, 0.3
 
-    def of(self, r: _Responses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `_Block.of`, drag and thrust in body axes and velocity in the world."""
+    def of(self, r: OracleResponses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `OracleBlock.of`, drag and thrust in body axes and velocity in the world."""
         sigma, gain, alpha, delay, *drag = theta
         m, n = r.t_s.shape
         ratio = r.y("voltage_v", self.nominal_voltage_v) / self.nominal_voltage_v
