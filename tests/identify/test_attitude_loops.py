@@ -13,6 +13,7 @@ from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.identify.fit import fit
 from flighttest.identify.free_flight import estimate, fit_by_prediction_errors, parts_by_prediction_errors, stretches
 from flighttest.physics.model import Model
+from flighttest.pipeline.identification.fitting import for_later_flights
 from flighttest.segments.model import Segment, SegmentContext
 
 TRUTH = {"omega_phi": 9.0, "zeta_phi": 0.7, "omega_theta": 8.0, "zeta_theta": 0.8, "T_d_attitude": 0.05}
@@ -152,3 +153,14 @@ def test_loops_are_estimated_by_prediction_errors_where_somebody_steered_and_all
     assert parts_by_prediction_errors([*windows[:3], by_hand, *windows[4:]]) == ALL[1:]
     assert parts_by_prediction_errors([*windows[:3], step, *windows[4:]]) == ()  # of a script
     assert parts_by_prediction_errors(windows[:10]) == ()
+
+
+def test_an_attitude_that_is_stuck_shows_nothing_of_its_loop():
+    """Its loop is assumed, the other one is not moved by it, and a model file is written."""
+    whole = piloted(60.0, 0)
+    stuck = [replace(s, y=s.y | {"pitch_rad": np.zeros(s.t_s.size)}) for s in whole]
+    fitted, found = (fit_by_prediction_errors(s, Model(), ALL) for s in (whole, stuck))
+    assert found.estimates["omega_theta"].source == "assumed"
+    assert abs(found.values["omega_phi"] - fitted.values["omega_phi"]) < 2.0 * fitted.estimates["omega_phi"].std
+    assert set(found.covariance.names) <= set(found.solution.normal.names)
+    assert for_later_flights(found)["discrepancy"]

@@ -26,8 +26,8 @@ ATTITUDE_MEANS_S = 0.1
 
 
 class LoopEquations:
-    """One block of the attitude loops over one flight: the outputs whose own references move, so that models with and without a coupling of
-    the axes leave the same residuals. state: the simulated outputs and their rates, functions of the references alone."""
+    """One block of the attitude loops over one flight: the outputs that move as their own references do, so that models with and without a
+    coupling of the axes leave the same residuals. state: the simulated outputs and their rates, functions of the references alone."""
 
     def __init__(self, model: Model, block: Block, flown: Sequence[Segment]) -> None:
         self.model, self.block = model, block
@@ -36,7 +36,9 @@ class LoopEquations:
         self.outputs = tuple(
             n
             for n in block.outputs
-            if changes(flown, REFERENCE_OF[n]) and all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown)
+            if changes(flown, REFERENCE_OF[n])
+            and all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown)
+            and any(np.nanmax(s.y[n]) > np.nanmin(s.y[n]) for s in flown)  # else the sensor is stuck
         )
         seen = (np.array([s.y[n] for n in self.outputs]).reshape(-1, s.t_s.size).T for s in flown)
         self.measured = [self.chunks.along(k, one) for k, one in enumerate(seen)]
