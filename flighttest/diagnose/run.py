@@ -24,7 +24,7 @@ from flighttest.diagnose.conclusion import (
 )
 from flighttest.diagnose.findings import parameter_table
 from flighttest.diagnose.free_flight import by_prediction_errors
-from flighttest.diagnose.kinematics import KinematicsAnswer, by_kinematics, in_time
+from flighttest.diagnose.kinematics import KinematicsAnswer, by_kinematics
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, Finding, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
@@ -104,13 +104,13 @@ def diagnose(
         model = replace(model, attitude_loops=False)
     still = {s.run for s in usable} <= still_air(weather)[0]
     pool = tuple(t for t in _pool(model, only) if not (still and t.id == WIND_TERM))
-    late = by_kinematics(usable, pool)
+    sensors = by_kinematics(usable, pool)
     recorded = usable
-    if isinstance(late, KinematicsAnswer):
-        usable = in_time(usable, late.late_s)
+    if isinstance(sensors, KinematicsAnswer):
+        usable = sensors.corrected(usable)
     own = parts_by_prediction_errors(usable)
-    # By equations an accelerometer shows forces without the velocity: its latency is a matter of kinematics alone.
-    settled = {*late.accepted, *(late.tried if "translation" in own else ())}
+    # By equations an accelerometer shows forces without the velocity: what they disagree in is a matter of kinematics alone.
+    settled = {*sensors.accepted, *(sensors.tried if "translation" in own else ())}
     pool = tuple(t for t in pool if t.id not in settled)
     # The loops of free flight are searched in the frame of the air that the translation shows.
     order, way = (own, one_after_the_other) if "translation" in own else (BLOCKS, support.side_by_side)
@@ -139,7 +139,7 @@ def diagnose(
                 break
         return answers + [PartAnswer(complete=False) for _ in some[len(answers) :]]
 
-    answers = [late, *way(search, blocks, [SHARES[b] for b in blocks])]
+    answers = [sensors, *way(search, blocks, [SHARES[b] for b in blocks])]
     if not any(type(a) is not PartAnswer for a in answers):
         if not all(a.complete for a in answers):
             raise KeyboardInterrupt  # before anything was known

@@ -10,6 +10,7 @@ late and (1 + kappa) large, specific force read tau_f late (its known low-pass f
 holds in every stretch, three axes with one triple of unknowns; v_0, b (what attitude and accelerometer are biased by) are each stretch's
 own. Linear least squares after one low-pass filter without phase over all terms, with normal priors (`PRIOR_S`, `PRIOR_SCALE`): what little
 motion shows of them moves them little. Without tilting only the difference of the offsets is known, and nothing is corrected.
+What the stretches' own b have in common in the body's axes is the bias of the accelerometer, by least squares over the stretches.
 A velocity that comes out later than a stamp may be has a latency: it is moved by what was found and the equations are stated anew about
 there (Gauss-Newton), without a prior on it.
 Standard errors cluster by stretch. Klein & Morelli, Aircraft System Identification, chapter 10. No vehicle model is involved.
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +51,21 @@ _SHORTEST = 3  # stretches
 
 
 @dataclass(frozen=True)
+class AccelerometerBias:
+    """What the accelerometer measures too much, m/s^2, body FLU (3,), with its covariance (3, 3); errors_m2_s4: of each stretch the square
+    of the acceleration by which velocity and accelerometer differ, as recorded and corrected by what the other stretches show."""
+
+    value_m_s2: tuple[float, float, float]
+    covariance: tuple[tuple[float, ...], ...]
+    errors_m2_s4: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
 class Compatibility:
     """How late velocity and specific force are stamped against the attitude, s (negative: early), and by what share the horizontal velocity
     is too large, each with its standard error. stretches: of 4 s each, behind these numbers; errors_m2_s2: of each stretch the mean square
-    of the velocity less what the accelerometer makes of it, as recorded and corrected by what the other stretches show."""
+    of the velocity less what the accelerometer makes of it, as recorded and corrected by what the other stretches show; bias: of the
+    accelerometer, with the velocity at its time."""
 
     velocity_late_s: float
     velocity_late_std_s: float
@@ -62,6 +75,7 @@ class Compatibility:
     velocity_scale_std: float
     stretches: int
     errors_m2_s2: tuple[tuple[float, float], ...] = ()
+    bias: AccelerometerBias | None = None
 
     @property
     def velocity_has_latency(self) -> bool:
@@ -121,9 +135,10 @@ def _solved(
                 made[float(start)] = equations
     if len(made) < _SHORTEST:
         return None
-    gram = np.stack([a.T @ a for a, _ in made.values()])
-    moment = np.stack([a.T @ y for a, y in made.values()])
-    power = float(np.mean([np.mean(y**2) for _, y in made.values()])) or 1.0
+    stretches = list(made.values())
+    gram = np.stack([s.terms.T @ s.terms for s in stretches])
+    moment = np.stack([s.terms.T @ s.velocity for s in stretches])
+    power = float(np.mean([np.mean(s.velocity**2) for s in stretches])) or 1.0
     weight = 1.0 / (power * _RATE_HZ / _CUTOFF_HZ)  # of samples that count once in so many
     prior = np.diag([PRIOR_S**-2 if late_s is None else 0.0, PRIOR_S**-2, PRIOR_SCALE**-2])  # a latency has none
     whole, target = gram.sum(axis=0) * weight + prior, moment.sum(axis=0) * weight
@@ -137,17 +152,42 @@ def _solved(
     without = np.linalg.pinv(whole - gram * weight, hermitian=True)  # each stretch
     others = np.einsum("sij,sj->si", without, target - moment * weight)
     errors = {
-        start: (float(np.mean(y**2)), float(np.mean((y - a @ one) ** 2)))
-        for (start, (a, y)), one in zip(made.items(), others, strict=True)
+        start: (float(np.mean(s.velocity**2)), float(np.mean((s.velocity - s.terms @ one) ** 2)))
+        for (start, s), one in zip(made.items(), others, strict=True)
     }
     v, f, scale = zip(((late_s or 0.0) - float(found[0]), -float(found[1]), float(found[2])), std.tolist(), strict=True)
-    return Compatibility(*v, *f, *scale, len(made), tuple(errors.values())), errors
+    return Compatibility(*v, *f, *scale, len(made), tuple(errors.values()), _bias(stretches, found)), errors
 
 
-def _equations(
-    series: Sequence[Series], start_s: float, cutoff_hz: float | None
-) -> tuple[FloatArray, FloatArray] | None:
-    """(3 n, 3) regressors of (-tau_v, -tau_f, kappa) and (3 n,) residual velocity of one stretch, what v_0 and b explain taken out."""
+def _bias(stretches: Sequence[_Stretch], found: FloatArray) -> AccelerometerBias:
+    """Of the trends that are left beside stamps and scale (3,)."""
+    turned = np.stack([s.turned for s in stretches])
+    asked = -np.stack([s.trends[0] - found @ s.trends[1:] for s in stretches])
+    gram, moment = np.matmul(turned.transpose(0, 2, 1), turned), np.einsum("sij,si->sj", turned, asked)
+    whole, target, count = gram.sum(axis=0), moment.sum(axis=0), len(stretches)
+    inverse = np.linalg.pinv(whole, hermitian=True)
+    value = inverse @ target
+    scores = moment - gram @ value
+    spread = inverse @ (scores.T @ scores) @ inverse * count / (count - 2)
+    others = np.einsum("sij,sj->si", np.linalg.pinv(whole - gram, hermitian=True), target - moment)
+    left = asked - np.einsum("sij,sj->si", turned, others)
+    errors = zip(np.sum(asked**2, axis=1).tolist(), np.sum(left**2, axis=1).tolist(), strict=True)
+    return AccelerometerBias(tuple(value.tolist()), tuple(map(tuple, spread.tolist())), tuple(errors))
+
+
+class _Stretch(NamedTuple):
+    """terms (3 n, 3): regressors of (-tau_v, -tau_f, kappa); velocity (3 n,): less what the accelerometer makes of it; both without what
+    v_0 and b explain. trends (4, 3): slopes of the velocity, m/s^2, and of the terms, which b takes; turned (3, 3): of a bias of one in
+    each of the body's axes, by axis of the world."""
+
+    terms: FloatArray
+    velocity: FloatArray
+    trends: FloatArray
+    turned: FloatArray
+
+
+def _equations(series: Sequence[Series], start_s: float, cutoff_hz: float | None) -> _Stretch | None:
+    """Of one stretch; None where anything has a gap in it."""
     t = start_s + np.arange(round(_STRETCH_S * _RATE_HZ)) / _RATE_HZ
     columns = []
     for s, group in zip(series, _GROUPS, strict=True):
@@ -164,13 +204,16 @@ def _equations(
     acceleration = np.einsum("nij,nj->ni", rotation, force) - [0.0, 0.0, G_M_S2]
     jerk = np.einsum("nij,nj->ni", rotation, np.gradient(force, t, axis=0))
     moved = _integral(acceleration, t)
-    terms = np.stack([velocity - moved, acceleration, -_integral(jerk, t), moved * [1.0, 1.0, 0.0]])
+    turned = [_integral(rotation[:, :, k], t) for k in range(3)]
+    terms = np.stack([velocity - moved, acceleration, -_integral(jerk, t), moved * [1.0, 1.0, 0.0], *turned])
     halved = np.sqrt(2.0 * np.log(2.0)) / (2.0 * np.pi * _CUTOFF_HZ)  # s: this Gaussian halves the cut-off frequency
     smooth = gaussian_filter1d(terms, halved * _RATE_HZ, axis=1, mode="nearest")
     still = np.linalg.qr(np.stack([np.ones(t.size), t - t[0]], axis=-1))[0]
     inside = slice(20, -20)  # filters settle at the ends
-    y, *regressors = ((x - still @ (still.T @ x))[inside].ravel() for x in smooth)
-    return np.stack(regressors, axis=-1), y
+    y, *regressors = ((x - still @ (still.T @ x))[inside].ravel() for x in smooth[:4])
+    slope = (t - t.mean()) / np.sum((t - t.mean()) ** 2)
+    trends = np.einsum("n,knj->kj", slope, smooth)
+    return _Stretch(np.stack(regressors, axis=-1), y, trends[:4], trends[4:].T)
 
 
 def _unfiltered(force: FloatArray, t_s: FloatArray, cutoff_hz: float | None) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A late velocity, shown by the accelerometer: by kinematics, whatever flies."""
+"""A late velocity and a biased accelerometer, which one shows of the other: by kinematics, whatever flies."""
 
 from dataclasses import replace
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import diagnose
-from flighttest.diagnose.kinematics import KinematicsAnswer, by_kinematics, in_time
+from flighttest.diagnose.kinematics import DRIFT_M_S2, KinematicsAnswer, by_kinematics, in_time
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
-from flighttest.segments.compatibility import Compatibility
+from flighttest.segments.compatibility import AccelerometerBias, Compatibility
 from tests.identify.test_free_flight import flight
 
 POOL = tuple(catalogue().values())
@@ -91,3 +91,76 @@ def test_a_velocity_in_time_is_that_of_later_samples():
     assert moved.y["v_x_m_s"][:-2] == pytest.approx(segment.y["v_x_m_s"][2:])
     assert np.isnan(moved.y["v_x_m_s"][-2:]).all()
     assert moved.y["roll_rad"] is segment.y["roll_rad"]
+
+
+def biased(value=(0.0, 0.0, -2.0), std=0.03, left=0.1, stretches=20):
+    """What kinematics show of a recording whose velocity is in time. left: of the mean square error, without the bias."""
+    square = float(np.sum(np.square(value)))
+    bias = AccelerometerBias(value, tuple(map(tuple, std**2 * np.eye(3))), ((square, left * square),) * stretches)
+    return replace(found(0.004, std_s=0.001, stretches=stretches), bias=bias)
+
+
+def test_a_biased_accelerometer_is_named_and_not_taken_for_thrust():
+    """An accelerometer that measures 2 m/s^2 too little, of a vehicle whose K is 19.6."""
+    windows = flight(60.0, 31, gust=0.2)[1:]
+    low = [replace(w, y=w.y | {"f_z_m_s2": w.y["f_z_m_s2"] - 2.0}) for w in windows]
+    seen = [replace(w, context=replace(w.context, compatibility=biased())) for w in low]
+    right, answer = (diagnose(s, Model(), only=("accelerometer_bias",)) for s in (windows, seen))
+    assert answer.accepted == ("accelerometer_bias",)
+    (finding,) = answer.findings
+    assert finding.parameters["bias_z"]["value"] == pytest.approx(-2.0)
+    assert "by kinematics" in finding.sentence
+    low_z, high_z = finding.parameters["bias_z"]["interval_95"]
+    assert high_z - low_z > 4.0 * DRIFT_M_S2
+    assert answer.values["K"] == pytest.approx(right.values["K"], rel=1e-6)
+    assert diagnose(low, Model(), only=()).values["K"] < 0.9 * right.values["K"]
+
+
+@pytest.mark.parametrize(
+    ("runs", "named"),
+    [
+        ((biased(),), True),
+        ((biased(), biased((0.1, 0.0, -2.2))), True),
+        ((biased(), found(0.004, std_s=0.001)), False),  # of which it is not known
+        ((biased((0.0, 0.0, 0.35)),), True),
+        ((biased((0.0, 0.0, 0.2)),), False),  # accelerometers drift by 0.05
+        ((biased((0.0, 0.0, 0.35), std=0.1),), False),
+        ((biased(left=0.45),), True),
+        ((biased(left=0.55),), False),  # not the same in all of the flight
+        ((biased((0.0, 0.0, -4.5)),), False),  # beyond what the term may have
+    ],
+)
+def test_a_bias_is_one_that_every_recording_shows_and_that_leaves_little(runs, named):
+    segments = [s for k, c in enumerate(runs) for s in recorded(c, f"run {k}")]
+    made = by_kinematics(segments, POOL)
+    assert ("accelerometer_bias" in made.accepted) is named
+    if named:
+        assert list(made.held.values.values()) == pytest.approx(np.mean([c.bias.value_m_s2 for c in runs], axis=0))
+        assert np.diag(made.held.covariance).min() > DRIFT_M_S2**2
+
+
+def test_recordings_whose_biases_differ_have_a_mean_with_that_error():
+    runs = biased((0.0, 0.0, -2.0)), biased((0.0, 0.0, -0.2))
+    made = by_kinematics([s for k, c in enumerate(runs) for s in recorded(c, f"run {k}")], POOL)
+    assert not made.accepted  # -1.1 +- 0.5
+    assert "accelerometer_bias" not in made.tried
+
+
+def test_both_errors_are_named_of_one_recording():
+    both = replace(found(), bias=biased().bias)
+    made = by_kinematics(recorded(both), POOL)
+    assert set(made.accepted) == {"velocity_latency", "accelerometer_bias"}
+    (first, *_) = recorded(both)
+    (corrected, *_) = made.corrected([first])
+    assert corrected.y["f_z_m_s2"] == pytest.approx(first.y["f_z_m_s2"] + 2.0)
+    assert corrected.y["v_x_m_s"][:-5] == pytest.approx(first.y["v_x_m_s"][5:])
+
+
+def test_no_bias_and_the_smallest_that_would_have_been_seen():
+    made = by_kinematics(recorded(biased((0.0, 0.0, 0.05))), POOL)
+    assert "accelerometer_bias" in made.tried
+    size, name = made.levels["accelerometer_bias"]
+    assert name == "bias_z"
+    assert by_kinematics(recorded(biased((0.0, 0.0, 1.05 * size))), POOL).accepted
+    assert not by_kinematics(recorded(biased((0.0, 0.0, 0.95 * size))), POOL).accepted
+    assert "accelerometer_bias" not in by_kinematics(recorded(biased((0.0, 0.0, 0.05), std=0.06)), POOL).tried

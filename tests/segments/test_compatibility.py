@@ -140,3 +140,31 @@ def test_a_latency_of_any_size_is_found_to_a_millisecond_or_so(late_s, tilt):
     assert abs(found.velocity_late_s - late_s) < max(3.0 * found.velocity_late_std_s, 1e-3)
     before, after = np.sqrt(np.mean(found.errors_m2_s2, axis=0))
     assert before > 3.0 * after
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.1])
+def test_a_bias_of_the_accelerometer_is_found_in_its_own_axes(late_s):
+    """Beside the trend that this velocity has anyway, and with the velocity at its time."""
+    bias = np.array([0.3, -0.2, 0.4])
+    plain = flight(late_s)
+    force = plain["specific_force"]
+    biased = Series(force.t_s, {n: x + b for (n, x), b in zip(force.columns.items(), bias, strict=True)})
+    before, after = (
+        compatibility(groups, FLOWN, CUTOFF_HZ).bias for groups in (plain, plain | {"specific_force": biased})
+    )
+    assert np.subtract(after.value_m_s2, before.value_m_s2) == pytest.approx(bias, abs=0.01)
+    assert len(after.errors_m2_s4) == 14
+    recorded, left = np.sqrt(np.mean(after.errors_m2_s4, axis=0))
+    assert recorded == pytest.approx(np.linalg.norm(after.value_m_s2), rel=0.2)
+    assert left < 0.5 * recorded
+
+
+def test_the_error_of_a_bias_is_what_stretches_differ_by():
+    """Of a bias that changes from one stretch to the next: the mean of n has the error of one over the root of n."""
+    groups, own = flight(tilt=0.02), 0.3 * np.random.default_rng(3).standard_normal(15)
+    force = groups["specific_force"]
+    now = own[np.minimum((force.t_s / 4.0).astype(int), 14)]
+    moved = Series(force.t_s, force.columns | {"f_z_m_s2": force.columns["f_z_m_s2"] + now})
+    bias = compatibility(groups | {"specific_force": moved}, [(0.0, LENGTH_S)], CUTOFF_HZ).bias
+    n = len(bias.errors_m2_s4)
+    assert np.sqrt(bias.covariance[2][2]) == pytest.approx(np.std(own[:n], ddof=1) / np.sqrt(n), rel=0.1)

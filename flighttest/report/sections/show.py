@@ -27,7 +27,7 @@ from flighttest.report.document import (
 )
 from flighttest.report.numbers import duration, number, percent, unit
 from flighttest.report.packing import coarse
-from flighttest.segments.compatibility import Compatibility
+from flighttest.segments.compatibility import AccelerometerBias, Compatibility
 from flighttest.segments.health import AtLimit, BatteryCourse, Sampling, Spectrum
 
 # Standard deviation of vibration: "below 30 m/s/s normally acceptable, above 60 nearly always problems" (ArduPilot, Measuring Vibration).
@@ -250,7 +250,7 @@ def health(look: Look) -> Section:
         how = str(clock.get("method", "")) or "its own"
         lines.append(f"clock: {how}, error {float(clock['error_s']) * 1000:.2g} ms")
     if look.compatibility is not None:
-        lines.append(_compatible(look.compatibility))
+        lines += [_compatible(look.compatibility), _biased(look.compatibility.bias)]
     for one in look.limits:
         lines.append(
             f"{word(one.channel)} is at {number(one.limit, 3)} {unit(CHANNELS[one.channel].unit)}".rstrip()
@@ -291,6 +291,15 @@ def _compatible(found: Compatibility) -> str:
         f"{number(100 * abs(found.velocity_scale), 2)} ± {number(200 * found.velocity_scale_std, 1)} % too "
         f"{'large' if found.velocity_scale > 0 else 'small'}, accelerometer {late(found.force_late_s, found.force_late_std_s)}; {done}"
     )
+
+
+def _biased(bias: AccelerometerBias | None) -> str:
+    """The accelerometer's bias, with 95 % intervals."""
+    if bias is None:
+        return ""
+    std = [bias.covariance[k][k] ** 0.5 for k in range(3)]
+    each = (f"{number(b, 2)} ± {number(2 * s, 1)}" for b, s in zip(bias.value_m_s2, std, strict=True))
+    return f"accelerometer bias by kinematics, forward, left and up: {', '.join(each)} m/s²"
 
 
 def spectrum(look: Look) -> Section | None:
