@@ -2,59 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from flighttest.diagnose.answer import Asked, PartAnswer, listed, merged
-from flighttest.diagnose.conclusion import (
-    UNMOVED,
-    UNTRIED,
-    compensated_voltage,
-    different_delays,
-    moved_parameters,
-    predicted_worse,
-    pushed_once,
-    sentence_of,
-    unlike_flights,
-    unrecorded_battery,
-    verdict_of,
-)
-from flighttest.diagnose.findings import parameter_table
+from flighttest.diagnose.answer import Asked, PartAnswer
+from flighttest.diagnose.assembly import assembled
+from flighttest.diagnose.conclusion import pushed_once
 from flighttest.diagnose.free_flight import by_prediction_errors
 from flighttest.diagnose.kinematics import KinematicsAnswer, by_kinematics
-from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.model import Diagnosis, Finding, TermVerdict, Untestable, Verdict
-from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
-from flighttest.diagnose.output_error import OutputErrorAnswer, by_output_error
-from flighttest.diagnose.output_error.residual_regression import describe
-from flighttest.diagnose.records import CandidateRow, Description, NextReason, SetAside
+from flighttest.diagnose.model import Diagnosis
+from flighttest.diagnose.next_flight import Flyable, as_shipped
+from flighttest.diagnose.output_error import by_output_error
+from flighttest.diagnose.records import SetAside
 from flighttest.diagnose.residuals.outlying import set_aside
-from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels
 from flighttest.diagnose.selection.held_out import held_out_groups
-from flighttest.diagnose.selection.search import Search, silent
+from flighttest.diagnose.selection.search import silent
 from flighttest.errors import FitError
 from flighttest.estimation.estimator import BLOCKS
-from flighttest.estimation.solver import Start
 from flighttest.identify.diagnostics.local_optima import misfit
 from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
 from flighttest.identify.free_flight import parts_by_prediction_errors
-from flighttest.identify.free_flight.equation_fit import LOOPS, fit_of_estimates
-from flighttest.identify.free_flight.winds import WIND_TERM, FlightWind, in_still_air, still_air, wind_rows
+from flighttest.identify.free_flight.equation_fit import LOOPS
+from flighttest.identify.free_flight.winds import WIND_TERM, still_air
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
-from flighttest.script.model import ScriptData
 from flighttest.segments.model import Segment
 
 LEAST_SEGMENTS = 4
-MOST_ASKED = 2  # questions of each block that a next flight is sought for: each is a rehearsal of several maneuvers
 # How much of the work each block is, roughly.
 SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
-SHAPE_ALONE = "times its usual size"
 
 Work = Callable[[Sequence[str]], list[PartAnswer]]
 SideBySide = Callable[[Work, Sequence[str], Sequence[float]], list[PartAnswer]]
@@ -102,8 +80,48 @@ def diagnose(
         model = default_model(usable)
     if model.attitude_loops and not has_attitude_references(usable):
         model = replace(model, attitude_loops=False)
+    begun = _begun(usable, _Request(model, previous or {}, weather or {}, only, support.progress))
+    answers = [begun.sensors, *_searched(begun, support.side_by_side)]
+    if not any(type(a) is not PartAnswer for a in answers):
+        if not all(a.complete for a in answers):
+            raise KeyboardInterrupt  # before anything was known
+        raise FitError(
+            "no reference moves in any of the responses, so that no part of the model can be tried",
+            "a diagnosis needs recorded references: throttle, roll, pitch or yaw rate",
+        )
+    found = assembled(begun.asked, answers, support.flyable)
+    if not begun.aside:
+        return found
+    alone = pushed_once(len(begun.aside["segments"]))
+    return replace(found, sentence=f"{found.sentence} {alone}", set_aside=begun.aside)
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What a caller asks for, as `diagnose` documents it."""
+
+    model: Model
+    previous: Mapping[str, tuple[float, float | None]]
+    weather: Mapping[str, str]
+    only: Sequence[str] | None
+    say: Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """What is known before any part of the model is searched: what the sensors show of themselves, which parts are by prediction errors,
+    and what every part is asked about, without responses that were set aside."""
+
+    sensors: PartAnswer
+    by_prediction_errors: tuple[str, ...]
+    asked: Asked
+    aside: SetAside
+
+
+def _begun(usable: tuple[Segment, ...], request: _Request) -> _Begun:
+    model, weather, previous = request.model, request.weather, request.previous
     still = {s.run for s in usable} <= still_air(weather)[0]
-    pool = tuple(t for t in _pool(model, only) if not (still and t.id == WIND_TERM))
+    pool = tuple(t for t in _pool(model, request.only) if not (still and t.id == WIND_TERM))
     sensors = by_kinematics(usable, pool)
     recorded = usable
     if isinstance(sensors, KinematicsAnswer):
@@ -112,18 +130,29 @@ def diagnose(
     # By equations an accelerometer shows forces without the velocity: what they disagree in is a matter of kinematics alone.
     settled = {*sensors.accepted, *(sensors.tried if "translation" in own else ())}
     pool = tuple(t for t in pool if t.id not in settled)
-    # The loops of free flight are searched in the frame of the air that the translation shows.
-    order, way = (own, one_after_the_other) if "translation" in own else (BLOCKS, support.side_by_side)
-    blocks = [b for b in order if b == "translation" or model.attitude_loops]
-    say, kept, aside = support.progress, usable, SetAside()
-    base = None if set(blocks) <= {*own} else _base(usable, model, own, previous or {}, say)
+    kept, aside = usable, SetAside()
+    base = None if {*_blocks(model, own)} <= {*own} else _base(usable, model, own, previous, request.say)
     if base is not None:
         kept, aside = set_aside(usable, base.start.nuisance)
         if aside:
             base = _fitted(kept, base.model, base.values)
             names = {(s.run, s.name) for s in kept}
             recorded = tuple(s for s in recorded if (s.run, s.name) in names)
-    asked = Asked(kept, recorded, model, pool, base, *held_out_groups(kept), previous or {}, weather or {}, say)
+    asked = Asked(kept, recorded, model, pool, base, *held_out_groups(kept), previous, weather, request.say)
+    return _Begun(sensors, own, asked, aside)
+
+
+def _blocks(model: Model, own: Sequence[str]) -> tuple[str, ...]:
+    """Parts of the model that are searched, in order; own: those by prediction errors. The loops of free flight are searched in the frame
+    of the air that the translation shows."""
+    order = own if "translation" in own else BLOCKS
+    return tuple(b for b in order if b == "translation" or model.attitude_loops)
+
+
+def _searched(begun: _Begun, side_by_side: SideBySide) -> list[PartAnswer]:
+    """The answer of every part of the model."""
+    own, asked = begun.by_prediction_errors, begun.asked
+    blocks, way = _blocks(asked.model, own), one_after_the_other if "translation" in own else side_by_side
 
     def search(some: Sequence[str]) -> list[PartAnswer]:
         answers: list[PartAnswer] = []
@@ -139,18 +168,7 @@ def diagnose(
                 break
         return answers + [PartAnswer(complete=False) for _ in some[len(answers) :]]
 
-    answers = [sensors, *way(search, blocks, [SHARES[b] for b in blocks])]
-    if not any(type(a) is not PartAnswer for a in answers):
-        if not all(a.complete for a in answers):
-            raise KeyboardInterrupt  # before anything was known
-        raise FitError(
-            "no reference moves in any of the responses, so that no part of the model can be tried",
-            "a diagnosis needs recorded references: throttle, roll, pitch or yaw rate",
-        )
-    found = _assembled(asked, answers, support.flyable)
-    if not aside:
-        return found
-    return replace(found, sentence=f"{found.sentence} {pushed_once(len(aside['segments']))}", set_aside=aside)
+    return way(search, blocks, [SHARES[b] for b in blocks])
 
 
 def _pool(model: Model, only: Sequence[str] | None) -> tuple[Term, ...]:
@@ -186,196 +204,3 @@ def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float
         return found
     other = fit(segments, model, select="all", robust=False, start=known)
     return min(found, other, key=lambda f: misfit(f.problem, f.solution))
-
-
-def _assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> Diagnosis:
-    """One diagnosis of the parts' answers."""
-    model, pool = asked.model, asked.pool
-    searches = [a.search for a in answers if isinstance(a, OutputErrorAnswer)]
-    complete = all(a.complete for a in answers)
-    nats = merged(a.accepted for a in answers)
-    accepted = tuple(sorted(nats, key=lambda t: nats[t], reverse=True))
-    joined = {t for a in answers for t in a.terms}
-    final = model.with_terms(
-        *(t for t in accepted if t in joined), *(t for a in answers for t in a.terms if t not in nats)
-    )
-    winds = next((a.winds for a in answers if a.winds), ())
-    asked.tell(f"fitting {' + '.join(final.terms)}")
-    final_fit = _final_fit(asked, answers, searches, final, winds)
-    before = merged([parameter_table(asked.base) if asked.base else {}, *(a.before for a in answers)])
-    after = parameter_table(final_fit)
-    findings = sorted((f for a in answers for f in a.findings(asked, after)), key=lambda f: accepted.index(f.term))
-    located, levels = listed(answers, "located"), merged(a.levels for a in answers)
-    tried = {t for a in answers for t in a.tried}
-    unseen = _not_testable(asked, answers, tried, complete)
-    hidden = {u.term: u.why for u in unseen}
-    units = {p.name: p.unit for t in catalogue().values() for p in t.params}
-    staying = {c for a in answers for c in a.staying}
-    shares = listed(answers, "shares")  # channels count alike, whatever their floors
-    share = float(np.mean(shares)) if shares else float(bool(staying))
-    so_far = verdict_of(bool(findings), share, bool(located), bool(staying))
-    cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
-    nameless = searches and so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)
-    formulas = _described(asked, searches, staying) if nameless else []
-    asked.tell("choosing the next flight")
-    catalogued = {t.id: t for t in pool}
-
-    def fits(script: ScriptData) -> tuple[ScriptData, float] | None:
-        return flyable(script, final, final_fit.values)
-
-    proposal = _next(searches, findings, unseen, catalogued, fits) if complete else None
-    return Diagnosis(
-        verdict=so_far if complete else Verdict.PARTLY,  # what was not searched for is neither missing nor explained
-        sentence=sentence_of(so_far, findings, share, located, complete)
-        + predicted_worse(merged(a.heldout for a in answers))
-        + moved_parameters(asked.previous, after)
-        + unlike_flights(_pushes(final_fit) if searches else {}),
-        located=tuple(located),
-        findings=tuple(findings),
-        not_needed=tuple(sorted(tried - {*accepted, *hidden})),
-        untestable=tuple(unseen),
-        unexplained={"excess_share": float(min(share, 1.0)) if located else 0.0},
-        smallest_detectable={k: v for k, (v, _) in levels.items() if np.isfinite(v) and hidden.get(k) != UNSEEN},
-        smallest_units={k: _in_units(name, units[name]) if name else SHAPE_ALONE for k, (_, name) in levels.items()},
-        model=final,
-        values={k: v for k, v in final_fit.values.items() if k in final.names},
-        fit=final_fit,
-        held=tuple(a.held for a in answers if a.held),
-        accepted=accepted,
-        before=before,
-        after=after,
-        heldout=merged(a.heldout for a in answers),
-        noise_floor=merged(a.floors for a in answers),
-        baselines=merged(a.baselines for a in answers),
-        residual_map=tuple(listed(answers, "cells")),
-        errors=tuple(listed(answers, "errors")),
-        left=tuple(listed(answers, "left")),
-        regimes=tuple(listed(answers, "curves")),
-        overlays=tuple(listed(answers, "overlaid")),
-        candidates=_candidate_rows(answers, hidden),
-        cost={"added_parameters": len(after) - len(before), "held_out_groups": asked.group_name},
-        unknown=tuple(formulas),
-        mass=mass_test(asked.previous, {n: (row["value"], row["scatter"]) for n, row in after.items()}),
-        next_flight="next.yaml" if proposal else None,
-        next_script=proposal[1] if proposal else None,
-        next_reason=proposal[0] if proposal else {},
-        notes=(
-            *listed(answers, "notes"),
-            *cut_short,
-            *different_delays(after),
-            *compensated_voltage(after),
-            *unrecorded_battery(located, any(np.isfinite(s.y.get("voltage_v", np.nan)).any() for s in asked.segments)),
-        ),
-        complete=complete,
-        runs=tuple(dict.fromkeys(s.run for s in asked.segments)),
-        winds=tuple(wind_rows(winds, still_air(asked.weather)[0])),
-    )
-
-
-def _pushes(found: Fit) -> dict[str, NDArray[np.float64]]:
-    """Flight to the constant vertical disturbances of its windows of free flight, m/s^2."""
-    runs: dict[str, list[float]] = {}
-    every = found.start.nuisance.get("a_d_z_m_s2", np.empty(0))
-    for segment, push in zip(found.problem.segments, every, strict=False):
-        if segment.kind == "free" and np.isfinite(push):
-            runs.setdefault(segment.run, []).append(float(push))
-    return {run: np.array(values) for run, values in runs.items()}
-
-
-def _not_testable(
-    asked: Asked, answers: Sequence[PartAnswer], determined: Collection[str], complete: bool
-) -> list[Untestable]:
-    """Candidates on which these flights contain no information, with the reason. determined: ids of those that were tried or named."""
-    found: list[Untestable] = listed(answers, "unseen")
-    known = {u.term for u in found}
-    for term in asked.pool:
-        missing = missing_channels(term, asked.segments)
-        if missing and term.id not in known:
-            found.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals, False))
-    known = {u.term for u in found} | set(determined)
-    why = UNMOVED if complete else UNTRIED
-    return found + [Untestable(t.id, why, t.reveals) for t in asked.pool if t.id not in known]
-
-
-def _described(asked: Asked, searches: Sequence[Search], staying: set[str]) -> list[Description]:
-    """What has no name, by sparse regression. staying: channels whose mismatch stays."""
-    asked.tell("describing the rest by residual regression")
-    channels = _with_forces(staying)
-    return [one for search in searches for one in describe(search, asked.segments, asked.groups, channels)]
-
-
-def _candidate_rows(answers: Sequence[PartAnswer], hidden: Mapping[str, str]) -> tuple[CandidateRow, ...]:
-    """Rows of every candidate; what these flights could not have shown (hidden: id to reason) was not ruled out by them."""
-    return tuple(
-        CandidateRow({**c, "verdict": TermVerdict.UNTESTABLE, "why": hidden[c["term"]]}) if c["term"] in hidden else c
-        for a in answers
-        for c in a.candidates
-    )
-
-
-def _final_fit(
-    asked: Asked, answers: Sequence[PartAnswer], searches: Sequence[Search], final: Model, winds: Sequence[FlightWind]
-) -> Fit:
-    """The final model, fitted to every response; model.yaml, the report and the findings print its values and intervals. What prediction
-    errors showed is held there; they are in the frame of the air."""
-    estimates = [a.held for a in answers if a.held]
-    if final == asked.model and asked.base and not estimates:
-        return asked.base
-    held: dict[str, float] = {}
-    begun = None
-    if asked.base:
-        start = {n: v for n, v in asked.base.values.items() if n in final.names}
-        noise, nuisance = asked.base.noise, dict(asked.base.start.nuisance)
-        for search in searches:
-            assert search.now is not None
-            values = search.now.at.values  # of every parameter: those of other blocks are the base's
-            held |= {n: values[n] for t in search.named for n in search.held(t)}
-            start |= {n: values[n] for n in search.now.names} | held
-            noise |= search.now.at.noise
-            nuisance |= search.now.at.nuisance
-        begun = Start(start, noise, nuisance)
-    segments = in_still_air(asked.recorded, winds) if estimates else asked.recorded
-    return fit_of_estimates(segments, final, estimates, start=begun, frozen=held)
-
-
-def _in_units(name: str, unit: str) -> str:
-    return name if unit == "1" else f"{unit} ({name})"
-
-
-def _next(
-    searches: Sequence[Search],
-    findings: Sequence[Finding],
-    unseen: Sequence[Untestable],
-    terms: Mapping[str, Term],
-    fits: Callable[[ScriptData], tuple[ScriptData, float] | None],
-) -> tuple[NextReason, ScriptData] | None:
-    """The flight that separates rivals; where there are none, one that shows what could not be seen. A flight inside the zone for a
-    later question comes before one for the first that needs a larger zone."""
-    estimated = {k: v for s in searches if s.now for k, v in s.now.at.values.items()}
-    hidden = [u for u in unseen if u.recorded]
-    asked: list[tuple[Search, list[Question]]] = []
-    for search in searches:
-        assert search.now is not None
-        found = []
-        for f in (f for f in findings if f.term in search.evidence):
-            for r in (r for r in f.rivals if r.verdict == TermVerdict.CONFUSABLE):
-                size = {n: search.now.at.values[n] for n in f.parameters}
-                found.append(Question(terms[f.term], terms[r.term], size))
-        asked.append((search, found[:MOST_ASKED]))
-    for search in searches:
-        here = {t.id for t in search.pool}
-        looked_for = [terms[u.term] for u in hidden if u.term in here]
-        found = [Question(t, None, {p.name: p.nominal for p in t.params}) for t in looked_for]
-        asked.append((search, found[:MOST_ASKED]))
-    for inside in (True, False):
-        for search, questions in asked:
-            assert search.now is not None
-            values = {**search.now.model.start(), **estimated}
-            if questions and (made := propose(search, questions, values, fits, inside=inside)):
-                return made
-    return None
-
-
-def _with_forces(channels: set[str]) -> set[str]:
-    """A velocity that goes astray was pushed: its force is to be described."""
-    return channels | {f"{force}_{c[2:]}" for c in channels if c.startswith("v_") for force in ("f", "a")}

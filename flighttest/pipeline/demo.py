@@ -12,8 +12,8 @@ from typing import cast
 import numpy as np
 
 from flighttest.datafiles import check_writable
+from flighttest.diagnose.against.prediction import prediction_quality
 from flighttest.diagnose.model import short
-from flighttest.diagnose.prediction import prediction_quality
 from flighttest.diagnose.records import DiagnosisData
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
