@@ -58,7 +58,8 @@ class Param:
     estimate well on the other side is another effect in disguise. alone: whether it can be all there is of its term (a wind that only
     rises cannot: what does that is thrust). limits: what it is a limit of, 'throttle' or 'tilt_rate' (what the angle loops ask for): a
     limit that was not reached cannot be known. natural_bound: the bound at which the term is still itself, in its limit (a time
-    constant too short, or too long, to be seen); at any other its estimate is not what its name means.
+    constant too short, or too long, to be seen); at any other its estimate is not what its name means. drift: standard deviation of what
+    instruments have of it in any flight, which no recording distinguishes from more of the same.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Param:
     alone: bool = True
     limits: Literal["", "throttle", "tilt_rate"] = ""
     natural_bound: Literal["", "lower", "upper"] = ""
+    drift: float = 0.0
 
     @property
     def physical(self) -> tuple[float, float]:

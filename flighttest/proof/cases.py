@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import count, islice
 from types import MappingProxyType
 from typing import Literal, Protocol, TypeVar
@@ -45,7 +45,7 @@ class NoiseSource:
 
 @dataclass(frozen=True)
 class Case:
-    """One trial's truth. hide: effect to keys and values; conditions: noise factor, gusts m/s.
+    """One trial's truth. hide: effect to keys and values; conditions: noise factor, gusts m/s, drift as of `sim.SimOptions`.
 
     generator: 'rotor' is the built-in copter; 'sitl' is ArduCopter's firmware on the same body, rotors and air; 'recorded' is not drawn
     here (`proof.recorded`). noise_from: whose noise and disturbance it has instead of synthetic ones (`proof.transplanted_noise`).
@@ -61,10 +61,11 @@ class Case:
     gust_rms_m_s: float
     generator: Generator = "rotor"
     noise_from: NoiseSource | None = None
+    drift: float = 0.0
 
     def truth(self) -> str:
-        """As sealed: JSON with sorted keys; of real noise its set and files, wherever their folder is, and no word of it without."""
-        written = {k: v for k, v in asdict(self).items() if k != "noise_from"}
+        """As sealed: JSON with sorted keys; of real noise its set and files, wherever their folder is; no word of it or drift without."""
+        written = {k: v for k, v in asdict(self).items() if k != "noise_from" and (k != "drift" or v)}
         if self.noise_from is not None:
             written["noise_from"] = {"name": self.noise_from.name, "files": self.noise_from.files}
         return json.dumps(written, sort_keys=True)
@@ -77,8 +78,10 @@ class Case:
 def cases_of(
     seed: int, trials: int, generator: Generator = "rotor", kind: CaseKind | None = None, clean: int = 0
 ) -> list[Case]:
-    """The first trials of a seed, of every kind or of one, and its next ones with nothing hidden until there are `clean` of these."""
-    return first_of((draw(seed, k, generator) for k in count()), trials, kind, clean)
+    """The first trials of a seed, of every kind or of one, and its next ones with nothing hidden until there are `clean` of these; sensors
+    drift, as those of the frozen bench (`draw`) do not."""
+    drift = 1.0 if generator == "rotor" else 0.0  # a firmware's own estimators drift
+    return first_of((replace(draw(seed, k, generator), drift=drift) for k in count()), trials, kind, clean)
 
 
 def first_of(drawn: Iterator[C], trials: int, kind: CaseKind | None, clean: int) -> list[C]:

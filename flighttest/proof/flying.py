@@ -77,6 +77,7 @@ def case_options(case: Case, without: str = "", quiet: bool = False) -> SimOptio
         seed=case.flight_seed,
         vehicle_seed=case.vehicle_seed,
         noise=0.0 if quiet else case.noise,
+        drift=0.0 if quiet else case.drift,
         gust_rms_m_s=0.0 if quiet else case.gust_rms_m_s,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 from flighttest.sim.autopilot.copter import Autopilot
 from flighttest.sim.autopilot.safety import MODE_SWITCH_S, Boot
@@ -17,6 +18,10 @@ from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.sim.plants.weather import Air, Gusts
 from flighttest.sim.sensors import SensorNoise
 from flighttest.sim.wire import UNIX_2015_S
+
+# Standard deviation of an accelerometer's bias, the same for all of a flight, a few degrees from where it was calibrated (data sheets of
+# MEMS accelerometers: 0.5 to 1 mg per degree). Intervals hold as much (`estimation.drift`).
+ACCEL_DRIFT_M_S2 = 0.05
 
 
 def build_plant(options: SimOptions) -> Plant:
@@ -65,7 +70,10 @@ def build_vehicle(options: SimOptions) -> Autopilot:
     vehicle = Autopilot(
         plant,
         seed=options.seed,
-        noise=SensorNoise(**(options.model.get("noise", {}) if options.model else {})).scaled(options.noise),
+        noise=replace(
+            SensorNoise(**(options.model.get("noise", {}) if options.model else {})).scaled(options.noise),
+            accel_stays_m_s2=options.drift * ACCEL_DRIFT_M_S2,
+        ),
         boot=Boot(options.ready_s, options.gps_s, min(MODE_SWITCH_S, options.ready_s)),
         parameters=options.parameters,
         capacity_ah=plant.battery.capacity_ah,

@@ -20,9 +20,10 @@ class SimOptions:
 
     airframe: 'paper' (Eq. 4, Table 2) or 'rotor' (rotor-level first principles). hide: concealed physics, by catalogue id. seed: of
     noise and gusts, and of the random vehicle with vehicle_seed. vehicle: the airframe's own constants by name. noise: factor on all
-    sensor noise. gust_rms_m_s: horizontal gusts. speed: vehicle seconds per second when free-running. lockstep: time stands still until
-    the client grants some (see `lockstep`); paced: no sooner than `speed` allows. ready_s, gps_s: when it can arm and has a position, s
-    after boot. parameters: autopilot parameters that differ from their defaults.
+    sensor noise. drift: factor on the accelerometer's bias (`build.ACCEL_DRIFT_M_S2`). gust_rms_m_s: horizontal gusts.
+    speed: vehicle seconds per second when free-running. lockstep: time stands still until the client grants some (see `lockstep`); paced:
+    no sooner than `speed` allows. ready_s, gps_s: when it can arm and has a position, s after boot. parameters: autopilot parameters that
+    differ from their defaults.
     voltage_v: at which the battery rests; capacity_ah: None keeps the airframe's.
     signing_key: hexadecimal; with it frames are signed, and only signed ones are taken.
     model: an identified model that flies instead of the airframe, as plain data: terms, values (every parameter), constants (further
@@ -35,6 +36,7 @@ class SimOptions:
     vehicle_seed: int | None = None
     vehicle: Mapping[str, float] = field(default_factory=dict)
     noise: float = 1.0
+    drift: float = 0.0
     gust_rms_m_s: float = 0.0
     speed: float = 1.0
     lockstep: bool = False
@@ -52,8 +54,8 @@ class SimOptions:
             raise InputError(f"no airframe is called {self.airframe!r}", f"there are {' and '.join(AIRFRAMES)}")
         if not self.speed > 0.0:
             raise InputError(f"speed {self.speed} is not above 0")
-        if self.noise < 0.0 or self.gust_rms_m_s < 0.0:
-            raise InputError("noise and gusts cannot be negative")
+        if min(self.noise, self.drift, self.gust_rms_m_s) < 0.0:
+            raise InputError("noise, drift and gusts cannot be negative")
 
     def to_json(self) -> str:
         """As one line of JSON."""

@@ -60,7 +60,8 @@ class LowPass3:
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Standard deviations. accel: m/s^2 in a 400 Hz sample before the low-pass; *_wander: of the slowly varying part.
+    """Standard deviations. accel: m/s^2 in a 400 Hz sample before the low-pass; *_wander: of the slowly varying part; accel_stays: of
+    the accelerometer's bias, the same for all of a flight.
 
     Magnitudes as ArduPilot flights with a good mount show them: 0.1 m/s^2 and 0.05 m/s after the estimator, 0.1 deg.
     """
@@ -75,6 +76,7 @@ class SensorNoise:
     position_m: float = 0.004
     voltage_v: float = 0.010
     pressure_m: float = 0.05
+    accel_stays_m_s2: float = 0.0
 
     def scaled(self, factor: float) -> SensorNoise:
         """Everything louder or quieter by a factor."""
@@ -120,6 +122,8 @@ class Sensors:
         self._accel_sigma = n.accel_m_s2 / math.sqrt(400.0 * tick_s)
         self._gyro_sigma = n.gyro_rad_s / math.sqrt(400.0 * tick_s)
         self._imu = NoiseStream(seed, "imu")
+        stays = NoiseStream(seed, "stays")
+        self._bias = tuple(n.accel_stays_m_s2 * stays.draw() for _ in range(3))
         self._attitude = [_Wander(slow, n.attitude_wander_rad, 4.0) for _ in range(3)]
         self._velocity = [_Wander(slow, n.velocity_wander_m_s, 3.0) for _ in range(3)]
         self._position = [_Wander(slow, n.position_wander_m, 8.0) for _ in range(3)]
@@ -134,8 +138,8 @@ class Sensors:
 
     def update(self) -> None:
         """One tick: what the inertial sensors sample."""
-        m, draw, sigma = self._motion, self._imu.draw, self._accel_sigma
-        self.accel.update(m.fx + sigma * draw(), m.fy + sigma * draw(), m.fz + sigma * draw())
+        m, draw, sigma, (x, y, z) = self._motion, self._imu.draw, self._accel_sigma, self._bias
+        self.accel.update(m.fx + x + sigma * draw(), m.fy + y + sigma * draw(), m.fz + z + sigma * draw())
         sigma = self._gyro_sigma
         self.gyro.update(m.p + sigma * draw(), m.q + sigma * draw(), m.r + sigma * draw())
 

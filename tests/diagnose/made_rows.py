@@ -40,10 +40,9 @@ def autoregressive(rng, shape, rho):
     return x
 
 
-def evidence(term, nats=100.0, inadmissible="", floors=5.0, without=None):
+def evidence(term, nats=100.0, inadmissible="", floors=5.0, without=None, nothing=""):
     """Of a term that is needed, or why its estimates cannot be."""
-    nothing = np.zeros(0)
-    place = ("f_z_m_s2", "roll_step")
+    none, place = np.zeros(0), ("f_z_m_s2", "roll_step")
     return Evidence(
-        term, nats, float(nats > 10.0), floors, place, nothing, nothing, inadmissible, without, ("f_z_m_s2",)
+        term, nats, float(nats > 10.0), floors, place, none, none, inadmissible, without, ("f_z_m_s2",), nothing=nothing
     )

@@ -7,6 +7,7 @@ import pytest
 
 from flighttest.diagnose import diagnose
 from flighttest.diagnose.kinematics import DRIFT_M_S2, KinematicsAnswer, by_kinematics, in_time
+from flighttest.estimation.drift import DRIFT
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.segments.compatibility import AccelerometerBias, Compatibility
@@ -164,3 +165,10 @@ def test_no_bias_and_the_smallest_that_would_have_been_seen():
     assert by_kinematics(recorded(biased((0.0, 0.0, 1.05 * size))), POOL).accepted
     assert not by_kinematics(recorded(biased((0.0, 0.0, 0.95 * size))), POOL).accepted
     assert "accelerometer_bias" not in by_kinematics(recorded(biased((0.0, 0.0, 0.05), std=0.06)), POOL).tried
+
+
+def test_the_drift_of_a_parameter_is_that_of_its_instrument():
+    params = {p.name: p.drift for term in catalogue().values() for p in term.params if p.drift}
+    assert params == {f"bias_{a}": DRIFT_M_S2 for a in "xyz"} | {
+        f"offset_{a}": DRIFT[f"{a}_rad"] for a in ("roll", "pitch")
+    }

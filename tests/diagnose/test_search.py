@@ -117,7 +117,7 @@ def searched(monkeypatch, made):
         if not repeats:
             monkeypatch.setattr(search_module, "floor_of", lambda *_: SimpleNamespace(from_repeats=frozenset()))
         monkeypatch.setattr(search_module, "log_evidence", lambda *_: {"": better})
-        pool = tuple(SimpleNamespace(id=t) for t in "abcd")
+        pool = tuple(SimpleNamespace(id=t, params=(SimpleNamespace(drift=float(t == "d")),)) for t in "abcd")
         estimator = SimpleNamespace(insensitive=lambda *_: frozenset(), segments=())
         table = {tuple(k): v for k, v in scores.items()}
         models = ScriptedModels(estimator, pool)
@@ -209,6 +209,17 @@ def test_a_term_that_is_not_needed_beside_a_better_one_too_small_for_a_name_is_n
         assert "too small" in search.rejected["a"].why_not
         assert searched(scores, finds | {("ab", "b"): 20.0, ("ab", "a"): 0.0}).named == {"b"}  # it is needed beside a
         assert searched(scores, finds | {"a": {"nats": 11.0, "floors": 0.5}}).named == {"b"}  # a explains no more
+
+
+@pytest.mark.parametrize(("drifts", "named"), [("d", set()), ("a", {"b"})])
+def test_what_is_not_needed_beside_what_instruments_drift_by_is_not_named(searched, drifts, named):
+    """An accelerometer's bias of 0.08 m/s^2, as instruments have, and an offset of the attitude of 9 mrad that takes its place."""
+    scores = {drifts: 10.0, "b": 8.0}
+    finds = {drifts: {"nats": 93.0, "nothing": "it may be nothing"}, "b": 12.0}
+    both = "".join(sorted((drifts, "b")))
+    search = searched(scores, finds | {(both, "b"): 0.0, (both, drifts): finds[drifts]})
+    assert search.named == named
+    assert set(search.beside_drift().model.terms) == named | ({"d"} if drifts == "d" else set())
 
 
 def test_what_is_named_beside_a_term_that_goes_is_judged_anew(searched):

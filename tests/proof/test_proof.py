@@ -11,7 +11,7 @@ import pytest
 
 from flighttest.errors import InputError
 from flighttest.physics.catalogue import catalogue
-from flighttest.proof import proving, trial
+from flighttest.proof import flying, proving, trial
 from flighttest.proof.board_page import markdown
 from flighttest.proof.cases import cases_of, draw
 from flighttest.proof.flying import CAMPAIGN, fly_campaign
@@ -134,9 +134,18 @@ def test_binomial_interval_against_the_table():
 
 def test_trials_of_one_kind_are_the_first_such_of_the_seed():
     some = cases_of(7, 4, kind="outside")
-    every = [draw(7, k) for k in range(some[-1].index + 1)]
+    every = [replace(draw(7, k), drift=1.0) for k in range(some[-1].index + 1)]
     assert some == [c for c in every if c.kind == "outside"]
     assert cases_of(7, 3) == every[:3]
+
+
+def test_sensors_of_a_trial_drift_and_those_of_the_frozen_bench_and_of_a_firmware_do_not():
+    (one,), (firmware,), frozen = cases_of(7, 1), cases_of(7, 1, "sitl"), draw(7, 0)
+    assert (one.drift, firmware.drift, frozen.drift) == (1.0, 0.0, 0.0)
+    assert json.loads(one.truth())["drift"] == 1.0
+    assert "drift" not in frozen.truth()
+    assert flying.case_options(one).drift == 1.0
+    assert flying.case_options(one, quiet=True).drift == 0.0
 
 
 def test_a_seed_is_drawn_on_until_enough_trials_are_clean():

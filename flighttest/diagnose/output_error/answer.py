@@ -83,7 +83,7 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
     made.terms = tuple(search.evidence)
     made.accepted = {term: e.nats for term, e in search.evidence.items()}
     made.tried = frozenset(made.terms) | (frozenset(t.id for t in search.pool) if made.complete else frozenset())
-    unchanged = now is base
+    unchanged, settled = now is base, search.beside_drift()
     before_held = base.held_out(asked.groups)
     after_held = before_held if unchanged else now.held_out(asked.groups)
     horizons_b = horizon_rmse(before_held, segments)
@@ -98,12 +98,12 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
             "value": floor.of(name),
             "from": FROM_REPEATS if name in floor.from_repeats else FROM_RESIDUAL,
         }
-    first, last = excess(base.rows, floor), excess(now.rows, floor)
-    places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), SEED)
+    first, last = excess(base.rows, floor), excess(settled.rows, floor)
+    left = locate(settled.rows, segments, floor_of(settled.rows, segments, RESOLUTION), SEED)
+    places = left if unchanged else locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), SEED)
     made.located += places
     above = {place.channel for place in places}
     made.shares += [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
-    left = places if unchanged else locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), SEED)
     made.staying |= {place.channel for place in left}
     made.curves += regime_curves(places, base.rows, now.rows, segments)
     made.cells += residual_map(base.rows, now.rows, segments, floor)

@@ -180,20 +180,38 @@ class Search:
         self.progress(f"{' and '.join(sorted(self.rejected))}: {why}")
         self.linearise()
 
+    def beside_drift(self) -> Fitted:
+        """The present model, and beside it the terms that may be no more than what instruments drift by (`Param.drift`): they are no
+        effect, and what they explain is not missing."""
+        assert self.now is not None
+        found = self.now
+        for name, refused in sorted(self.rejected.items()):
+            if self._drifts(refused) and name not in self.named:
+                fitted = self.models.beside(found, name, self.models.members(refused.without))
+                found = fitted if fitted.finite else found
+        return found
+
+    def _drifts(self, refused: Evidence) -> str:
+        """Why a term may be no more than what instruments drift by, empty where that cannot be so."""
+        return refused.nothing if any(p.drift for p in self.terms[refused.term].params) else ""
+
     def _outdone(self, kept: Fitted, evidence: Mapping[str, Evidence], among: frozenset[str]) -> dict[str, Evidence]:
         """Terms, of some of a model's, that are not needed beside one that explains more of the same and that has no name for its estimates
-        or its size: what is there is then more like that one, and neither is its name. (Where an ESC sticks, half of the angle boost
-        arrives; it was refused for that with 93 nats, and a translational lift of 12 nats named.)"""
+        or its size, or since instruments drift by as much: what is there is then more like that one, and neither is its name. (Where an ESC
+        sticks, half of the angle boost arrives; it was refused for that with 93 nats, and a translational lift of 12 nats named.)"""
         found: dict[str, Evidence] = {}
         members = self.models.members(kept)
         rest = members - among
-        for refused in [e for e in self.rejected.values() if e.nameless and self.models.members(e.without) == rest]:
+        nameless = {e.term: e.nameless or self._drifts(e) for e in self.rejected.values()}
+        for refused in [
+            e for e in self.rejected.values() if nameless[e.term] and self.models.members(e.without) == rest
+        ]:
             less = {t for t in among - set(found) if evidence[t].nats < refused.nats}
             if refused.term in members or not less:
                 continue
             both = self.models.beside(kept, refused.term, rest)
             for name in (t for t in sorted(less) if self._evidence(t, both).why_not):
-                why = f"beside {refused.term}, which explains more but cannot be it ({refused.nameless}), it is not needed"
+                why = f"beside {refused.term}, which explains more but cannot be it ({nameless[refused.term]}), it is not needed"
                 self.progress(f"{name}: {why}")
                 found[name] = replace(evidence[name], withdrawn=why)
         return found

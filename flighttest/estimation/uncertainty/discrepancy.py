@@ -19,7 +19,8 @@ fit, which other tests name. Without repeats neighbouring samples take their pla
 not: r is 2 and noise that is smooth counts as an error of the equations.
 
 Instruments drift by what all responses of a flight share as well, b_d of each constant disturbance d. To the score it adds, with L_id the
-part of response i that its own disturbance does not take up, var(b_d) (sum_i J_i' L_id) (sum_i J_i' L_id)'.
+part of response i that its own disturbance does not take up, var(b_d) (sum_i J_i' L_id) (sum_i J_i' L_id)'. Where that is a parameter
+itself, as of an accelerometer's bias, its variance is added to the estimate's (`Param.drift`): an effect is what comes on top.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequenc
                 spread += variance * columns.shape[0] * columns.T @ columns
     scale = np.sqrt(np.where(np.diag(total) > 0.0, np.diag(total), 1.0))
     inverse = np.linalg.pinv(total / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-    return np.asarray(inverse @ spread @ inverse)
+    own = np.diag([problem.model.param[n].drift ** 2 for n in active])
+    return np.asarray(inverse @ spread @ inverse) + own
 
 
 def _of_drift(

@@ -345,7 +345,8 @@ class _PredictionErrors:
             wrong = sum((lack.ratio - 1.0) * lack.along for lack in lacks.values())
         known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so in the sandwich
         robust = made.robust + known @ wrong @ known
-        covariance = robust + extra
+        drift = np.diag([self.asked.model.param[c.split("@")[0]].drift ** 2 for c in self.columns])
+        covariance = robust + extra + drift
         error = np.sqrt(np.diag(covariance))
         leaning = frozenset(
             c for c, e, s in zip(self.columns, error, self.std, strict=True) if np.isfinite(s) and e > LEANS * s

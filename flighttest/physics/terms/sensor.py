@@ -16,7 +16,7 @@ def _offset(s: Signals, p: Values, _x: Values) -> Contribution:
 def _offset_param(axis: str) -> Param:
     return Param(
         f"offset_{axis}", f"δ_{axis}", "rad", 0.02, -0.17, 0.17, 0.01, f"{axis} of the thrust axis in the frame of the reported attitude",
-        "level calibration, centre of mass: 0 to 3 deg; ArduPilot limits its trim to 10 deg",
+        "level calibration, centre of mass: 0 to 3 deg; ArduPilot limits its trim to 10 deg", drift=0.002,
     )  # fmt: skip
 
 
@@ -45,7 +45,7 @@ def _bias(s: Signals, p: Values, _x: Values) -> Contribution:
 def _bias_param(axis: str, name: str) -> Param:
     return Param(
         f"bias_{axis}", f"b_{axis}", "m/s^2", 0.2, -4.0, 4.0, 0.1, f"accelerometer bias along the body's {name} axis",
-        "consumer accelerometers over temperature: 0 to 0.5",
+        "consumer accelerometers over temperature: 0 to 0.5", drift=0.05,
     )  # fmt: skip
 
 
