@@ -194,7 +194,7 @@ def _biased_accelerometer(known: Sequence[Compatibility], candidates: int) -> Se
     errors = np.array([pair for b in biased for pair in b.errors_m2_s4])
     held = _held(accelerometer_bias, value, covariance + DRIFT_M_S2**2 * np.eye(value.size), dof)
     ratio = _ratio(value, held.covariance)
-    words = "specific_force", "m/s^2", "the bias taken out"
+    words = "specific force", "m/s^2", "the bias taken out"
     made = SensorError(accelerometer_bias, held, ratio, errors, *words, candidates)
     if significant := _significant(made):
         return significant
@@ -266,10 +266,10 @@ def unbiased(segments: Sequence[Segment], bias_m_s2: Sequence[float]) -> tuple[S
 def _place(segments: Sequence[Segment], found: SensorError) -> Located:
     (kind, _), *_ = Counter(s.kind for s in segments).most_common(1)
     before, after = found.rmse
-    what = found.channel.replace("_", " ").capitalize()
-    of = "velocity" if found.channel == "specific_force" else "accelerometer"
+    of = "accelerometer" if found.channel == "velocity" else "velocity"
     return Located(
         found.channel, next(s.maneuver for s in segments if s.kind == kind), kind, {}, 1.0, 1.0,
-        f"{what} against the {of}, by kinematics: {before:.2g} {found.unit} where {after:.2g} is left with {found.corrected}",
+        f"{found.channel.capitalize()} against the {of}, by kinematics: {before:.2g} {found.unit} where {after:.2g} is left with "
+        f"{found.corrected}",
         before, after, found.unit, before,
     )  # fmt: skip
