@@ -159,13 +159,14 @@ class ProofOptions(TypedDict, total=False):
 
 class SimulateOptions(TypedDict, total=False):
     """Further options of `simulate`. vehicle_seed: a random rotor vehicle; vehicle: constants of the airframe by name; noise: factor on all
-    sensor noise; gust_rms_m_s: horizontal gusts; paced: in lock-step, no sooner than `speed` allows; ready_s, gps_s: when it can arm and
-    has a position, s after boot; parameters: autopilot parameters; voltage_v: at which the battery rests; capacity_ah: of the battery;
-    signing_key: hexadecimal, of MAVLink 2."""
+    sensor noise; drift: on the accelerometer's bias, 0.05 m/s^2 RMS, none by default; gust_rms_m_s: horizontal gusts; paced: in lock-step,
+    no sooner than `speed` allows; ready_s, gps_s: when it can arm and has a position, s after boot; parameters: autopilot parameters;
+    voltage_v: at which the battery rests; capacity_ah: of the battery; signing_key: hexadecimal, of MAVLink 2."""
 
     vehicle_seed: int | None
     vehicle: Mapping[str, float]
     noise: float
+    drift: float
     gust_rms_m_s: float
     paced: bool
     ready_s: float

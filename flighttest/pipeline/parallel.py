@@ -78,7 +78,7 @@ def _result(future: Future[list[B]]) -> list[B] | None:
     try:
         return future.result()
     except KeyboardInterrupt:
-        if future.done():
+        if future.done() and isinstance(future.exception(), KeyboardInterrupt):
             raise
         return future.result()
     except Exception:  # noqa: BLE001  whatever it is, the first process meets it too

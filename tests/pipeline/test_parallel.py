@@ -102,6 +102,16 @@ def test_an_interrupt_while_waiting_takes_what_the_copy_still_shows(two_cores, i
     assert in_parallel(lambda some: [-i for i in some], [1, 2], [1, 1]) == [-1, -2]
 
 
+def test_an_interrupt_after_the_copy_has_ended_takes_what_it_has_shown(two_cores, interrupted_while_waiting):
+    """It lost all of it, where the copy was the faster one."""
+
+    def work(some):
+        time.sleep(0.5 if os.getpid() == HERE else 0.0)
+        return [-i for i in some]
+
+    assert in_parallel(work, [1, 2], [1, 1]) == [-1, -2]
+
+
 def test_an_interrupt_that_ends_the_copy_ends_all(two_cores, interrupted_while_waiting):
     def work(some):
         if os.getpid() != HERE:
