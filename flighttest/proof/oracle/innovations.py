@@ -4,7 +4,7 @@ Who steers answers what gusts do, so references follow disturbances, and a fit o
 flights in a wind tunnel it ends at natural frequencies of 6 to 8 rad/s and no delay, where the innovations have 10.5 rad/s and 58 ms. A
 regression of each output on its own past and that of the references (ARX), long enough, is consistent there (Ljung, System
 Identification, 2nd ed., section 13.4). Its autoregressive part whitens the noise, and the loops are fitted to outputs filtered by it
-(Zhu, Multivariable System Identification for Process Control, 2001, chapter 6).
+(the asymptotic method: Zhu, Multivariable System Identification for Process Control, 2001).
 """
 
 from __future__ import annotations
