@@ -35,7 +35,17 @@ CONDITIONS: dict[str, tuple[str, ...]] = {
 }
 SELECTION = tuple(
     f"tests/diagnose/test_{part}.py"
-    for part in ("search", "proposals", "subsets", "comparison", "absence", "parts", "discrepancy", "findings")
+    for part in (
+        "search",
+        "proposals",
+        "subsets",
+        "comparison",
+        "absence",
+        "parts",
+        "discrepancy",
+        "findings",
+        "fitted_models",
+    )
 )
 CONSTANTS: dict[str, tuple[str, ...]] = {
     "diagnose/selection/fitted_models.py": SELECTION,

@@ -19,7 +19,6 @@ from flighttest.diagnose.findings import parameter_in_words, with_owner
 from flighttest.diagnose.model import Finding, Located, TermVerdict
 from flighttest.diagnose.records import CandidateRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.comparison import level_of, probability_of
-from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.uncertainty.distributions import fisher_beyond, fisher_quantile
 from flighttest.identify.free_flight.estimate import HeldEstimate
 from flighttest.physics.blocks import FORCE, VELOCITY
@@ -31,7 +30,6 @@ from flighttest.segments.model import Segment
 FloatArray = NDArray[np.float64]
 
 UNKNOWNS = 3  # of the kinematics of a recording
-DRIFT_M_S2 = DRIFT["f_z_m_s2"]
 # Of the mean square error, on stretches not used, what an error of a sensor may leave. By `python -m benchmarks.sensor_errors` on 41 logs
 # of pilots five have a latency of 36 to 190 ms as they were recorded, and 85 to 96 % of the error stays: other errors of an estimate look
 # like a latency. In four logs whose velocity agrees with the accelerometer 60 to 350 ms added leave 0 to 11 %, 30 ms at most 25 %.
@@ -128,11 +126,10 @@ class KinematicsAnswer(PartAnswer):
 
     def corrected(self, segments: Sequence[Segment]) -> tuple[Segment, ...]:
         """Segments as sensors without these errors would have recorded them."""
-        values = self.held.values if self.held else {}
-        if velocity_latency.id in values:
-            segments = in_time(segments, values[velocity_latency.id])
-        bias = [values.get(p.name, 0.0) for p in accelerometer_bias.params]
-        return unbiased(segments, bias) if any(bias) else tuple(segments)
+        for error in self.found:
+            by = list(error.held.values.values())
+            segments = in_time(segments, *by) if error.term is velocity_latency else unbiased(segments, by)
+        return tuple(segments)
 
 
 def by_kinematics(segments: Sequence[Segment], pool: Sequence[Term]) -> PartAnswer:
@@ -192,13 +189,14 @@ def _biased_accelerometer(known: Sequence[Compatibility], candidates: int) -> Se
         return None
     value, covariance, dof = _mean(known, [(np.array(b.value_m_s2), np.array(b.covariance)) for b in biased])
     errors = np.array([pair for b in biased for pair in b.errors_m2_s4])
-    held = _held(accelerometer_bias, value, covariance + DRIFT_M_S2**2 * np.eye(value.size), dof)
+    drift = np.diag([p.drift**2 for p in accelerometer_bias.params])
+    held = _held(accelerometer_bias, value, covariance + drift, dof)
     ratio = _ratio(value, held.covariance)
     words = "specific force", "m/s^2", "the bias taken out"
     made = SensorError(accelerometer_bias, held, ratio, errors, *words, candidates)
     if significant := _significant(made):
         return significant
-    if np.sqrt(np.diag(covariance).max()) > DRIFT_M_S2 or made.p_value < level_of(candidates):
+    if np.any(np.diag(covariance) > np.diag(drift)) or made.p_value < level_of(candidates):
         return None
     least = value.size * fisher_quantile(1.0 - level_of(candidates), value.size, dof)
     return float(np.sqrt(least * np.diag(held.covariance).max()))

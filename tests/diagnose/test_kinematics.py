@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import diagnose
-from flighttest.diagnose.kinematics import DRIFT_M_S2, KinematicsAnswer, by_kinematics, in_time
+from flighttest.diagnose.kinematics import KinematicsAnswer, by_kinematics, in_time
 from flighttest.estimation.drift import DRIFT
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
@@ -112,7 +112,7 @@ def test_a_biased_accelerometer_is_named_and_not_taken_for_thrust():
     assert finding.parameters["bias_z"]["value"] == pytest.approx(-2.0)
     assert "by kinematics" in finding.sentence
     low_z, high_z = finding.parameters["bias_z"]["interval_95"]
-    assert high_z - low_z > 4.0 * DRIFT_M_S2
+    assert high_z - low_z > 4.0 * DRIFT["f_z_m_s2"]
     assert answer.values["K"] == pytest.approx(right.values["K"], rel=1e-6)
     assert diagnose(low, Model(), only=()).values["K"] < 0.9 * right.values["K"]
 
@@ -137,7 +137,7 @@ def test_a_bias_is_one_that_every_recording_shows_and_that_leaves_little(runs, n
     assert ("accelerometer_bias" in made.accepted) is named
     if named:
         assert list(made.held.values.values()) == pytest.approx(np.mean([c.bias.value_m_s2 for c in runs], axis=0))
-        assert np.diag(made.held.covariance).min() > DRIFT_M_S2**2
+        assert np.diag(made.held.covariance).min() > DRIFT["f_z_m_s2"] ** 2
 
 
 def test_recordings_whose_biases_differ_have_a_mean_with_that_error():
@@ -169,6 +169,6 @@ def test_no_bias_and_the_smallest_that_would_have_been_seen():
 
 def test_the_drift_of_a_parameter_is_that_of_its_instrument():
     params = {p.name: p.drift for term in catalogue().values() for p in term.params if p.drift}
-    assert params == {f"bias_{a}": DRIFT_M_S2 for a in "xyz"} | {
+    assert params == {f"bias_{a}": DRIFT["f_z_m_s2"] for a in "xyz"} | {
         f"offset_{a}": DRIFT[f"{a}_rad"] for a in ("roll", "pitch")
     }

@@ -12,7 +12,7 @@ from flighttest.diagnose.selection import search as search_module
 from flighttest.diagnose.selection.aliases import Alias, aliases_of
 from flighttest.diagnose.selection.candidates import Candidate, candidates_at
 from flighttest.diagnose.selection.comparison import Fitted
-from flighttest.diagnose.selection.fitted_models import FittedModels, astray
+from flighttest.diagnose.selection.fitted_models import FittedModels
 from flighttest.diagnose.selection.search import Search
 from flighttest.diagnose.selection.subsets import Scored
 from flighttest.estimation.linearisation import Optimum
@@ -429,82 +429,3 @@ def test_an_upward_wind_at_its_bound_is_held_and_the_rest_of_the_term_estimated(
     assert asked == [("K", "w_north", "w_up"), ("K", "w_north")]
     assert fitted.names == ("K", "w_north")
     assert fitted.at.values["w_up"] == 0.0
-
-
-@pytest.mark.parametrize(
-    ("name", "factor", "gone"),
-    [("sigma_t", 2.9, False), ("sigma_t", 3.1, True), ("K", 0.32, True), ("T_d_thrust", 0.2, False)],
-)
-def test_a_gain_or_lag_is_astray_beyond_a_factor_of_three_and_a_delay_never(name, factor, gone):
-    origin = {"sigma_t": 20.0, "K": 50.0, "T_d_thrust": 0.04}
-    assert astray(tuple(origin), origin | {name: factor * origin[name]}, origin) is gone
-    assert not astray((), origin | {name: factor * origin[name]}, origin)
-
-
-class Likelihoods:
-    """An estimator whose every fit of a model gains what `gains` states for its terms; compared: what each was compared with."""
-
-    def __init__(self):
-        self.compared = []
-
-    def problem(self, model):
-        return SimpleNamespace(names=model.names)
-
-    def fit(self, model, start, names, *, compared_with=None, reported=False):
-        self.compared.append(("".join(sorted(model.terms)), compared_with))
-        return Optimum(dict.fromkeys(names, 1.0), {}, QUIET, 0.0, start.log_likelihood)
-
-    def moved(self, model, at, values=None):
-        return SimpleNamespace(values=at.values, log_likelihood=0.0, objective=0.0)
-
-    def linearise(self, model, at, names):
-        return None
-
-
-@dataclass(frozen=True)
-class Named:
-    """A model of terms that have no parameters."""
-
-    terms: tuple
-    names: tuple = ()
-    params: tuple = ()
-
-    def without_terms(self, term):
-        return Named(tuple(t for t in self.terms if t != term))
-
-
-def found(*terms, likelihood):
-    return Fitted(Named(terms), (), Optimum({}, {}, QUIET, 0.0, likelihood), None)
-
-
-def test_a_model_that_diverges_without_one_of_its_terms_is_fitted_from_the_base():
-    class Diverging(Likelihoods):
-        def moved(self, model, at, values=None):
-            stable = all(at.values[n] >= 0.0 for n in at.values)
-            return Optimum(at.values | (values or {}), {}, QUIET, 0.0 if stable else np.inf, 0.0)
-
-        def fit(self, model, start, names, *, compared_with=None, reported=False):
-            self.compared.append(start)
-            return start
-
-    estimator = Diverging()
-    drag = SimpleNamespace(id="a", amplitudes=(SimpleNamespace(name="k", off=0.0),))
-    base = Fitted(Named(()), (), SimpleNamespace(values={"d": 1.0}, objective=0.0), NUMBERS)
-    models = FittedModels(estimator, (drag, SimpleNamespace(id="b", amplitudes=())), base=base)
-    at = Optimum({"d": -2.0, "k": 5.0}, {}, QUIET, 0.0, 9.0)
-    models.without("b", Fitted(Named(("a", "b")), (), at, NUMBERS))
-    assert [s.values for s in estimator.compared] == [{"d": 1.0, "k": 0.0}]
-
-
-def test_a_smaller_model_is_fitted_once_for_comparisons_and_again_where_one_is_closer_or_it_stays():
-    estimator = Likelihoods()
-    models = FittedModels(estimator, tuple(SimpleNamespace(id=t) for t in "abc"))
-    rough = models.without("b", found("a", "b", likelihood=1000.0))
-    assert models.without("c", found("a", "c", likelihood=2000.0)) is rough
-    assert estimator.compared == [("a", 1000.0)]
-    models.without("c", found("a", "c", likelihood=20.0))
-    assert estimator.compared[1:] == [("a", 20.0)]
-    exact = models.refined(models.without("c", found("a", "c", likelihood=20.0)))
-    assert estimator.compared[2:] == [("a", None)]
-    assert models.refined(exact) is models.without("b", found("a", "b", likelihood=1.0)) is exact
-    assert len(estimator.compared) == 3

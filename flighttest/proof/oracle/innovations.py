@@ -31,7 +31,9 @@ from flighttest.segments import Segment
 
 FloatArray = NDArray[np.float64]
 
-PAST_S = 0.5  # of outputs and references that the regression has: the loops of multirotors have answered by then
+# Of outputs and references that the regression has: the loops of multirotors have answered by then. With half or twice as much the tests
+# of this module pass.
+PAST_S = 0.5
 LEAST_LAGS = 4
 LEAST_ROWS = 5  # for every coefficient of the regression
 FREE = 1e3  # standard deviation of a window's own disturbance: the trim of any
