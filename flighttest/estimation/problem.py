@@ -277,7 +277,7 @@ class Problem:
         kernel = self._kernel(i, free_here, ())
         p = np.array([full[n] for n in part.block.params])
         y, dy = np.zeros(part.y.shape), np.zeros((*part.y.shape, kernel.n_columns if sensitivities else 0))
-        for batch in self._batches(i, float(part.block.delay_s(p))):
+        for batch in self._batches(i, (float(part.block.delay_s(p)), max_step_s(part.block, full))):
             kernel = self._kernel(i, free_here, batch.cutoffs)
             members = slice(None) if len(batch.members) == len(y) else batch.members
             made = kernel.at_samples(p, local[members], batch.nodes, part.mask[members], sensitivities)
@@ -299,10 +299,9 @@ class Problem:
                 columns[at] = source
         return PartEvaluation(residual, dy, (*columns, *part.locals))
 
-    def _batches(self, i: int, delay_s: float) -> list[_Batch]:
-        """The responses of a part for a delay, those of like filters together; one point is often asked for twice."""
+    def _batches(self, i: int, key: tuple[float, float]) -> list[_Batch]:
+        """The responses of a part for a delay and a longest step, those of like filters together; one point is often asked for twice."""
         part = self.parts[i]
-        key = (delay_s, max_step_s(part.block, self.values))
         if i in self._laid_out and self._laid_out[i][0] == key:
             return self._laid_out[i][1]
         alike: dict[Cutoffs, list[int]] = {}
