@@ -440,6 +440,21 @@ def motors(tmp_path, t, entry):
     return float(import_log(path, tmp_path / "map.yaml").channel("throttle")[1][0])
 
 
+@pytest.mark.parametrize(("above", "known"), [("{}", True), ("made by hand\n{}", True), ("t_s", False)])
+def test_names_in_the_comment_above_the_numbers_are_those_of_the_columns(tmp_path, t, above, known):
+    """numpy.savetxt writes them there: the first row of numbers was taken for the names."""
+    columns = {"t_s": t, "roll_rad": np.sin(t), "pitch_rad": 0.1 * t}
+    rows = np.stack(list(columns.values()), axis=1)
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=above.format(",".join(columns)))
+    if not known:
+        with pytest.raises(RecordingError):
+            import_log(tmp_path / "a.csv")
+        return
+    attitude = import_log(tmp_path / "a.csv").series["attitude"]
+    np.testing.assert_allclose(attitude.t_s, t)
+    np.testing.assert_allclose(attitude.columns["roll_rad"], np.sin(t))
+
+
 def test_rotor_speeds_are_squared_motor_by_motor(tmp_path, t):
     assert motors(tmp_path, t, "{mean: [m1, m2], power: 2, scale: 1.0e-5}") == pytest.approx(0.5)
 

@@ -21,6 +21,7 @@ from flighttest.logs.opening import LogFile
 from flighttest.logs.tables.sheet import Sheet
 
 CRAZYFLIE_MAGIC = 0xBC
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -64,8 +65,9 @@ def _text(file: LogFile, data: bytes) -> Sheet:
             f"{file.path}: the table has no rows", "it needs a line of column names and lines of values"
         )
     separator = max(",;\t", key=lambda mark: lines[0].count(mark))
+    names = _commented_names(text, lines[0], separator)
     # Where commas separate nothing, and no number has a point, they are what others write as a point.
-    values = "\n".join(lines[1:])
+    values = "\n".join(lines if names else lines[1:])
     comma = separator != "," and re.search(r"\d,\d", values) and not re.search(r"\d\.\d", values)
     skipped: list[int] = []
     try:
@@ -73,7 +75,7 @@ def _text(file: LogFile, data: bytes) -> Sheet:
             warnings.simplefilter("always", pd.errors.ParserWarning)
             frame = pd.read_csv(
                 io.StringIO(text), sep=separator, comment="#", skipinitialspace=True, on_bad_lines="warn", low_memory=False,
-                index_col=False, skip_blank_lines=True, decimal="," if comma else ".",
+                index_col=False, skip_blank_lines=True, decimal="," if comma else ".", names=names, header=None if names else 0,
             )  # fmt: skip
         skipped = [int(n) for one in caught for n in re.findall(r"Skipping line (\d+)", str(one.message))]
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError) as error:
@@ -88,6 +90,15 @@ def _text(file: LogFile, data: bytes) -> Sheet:
             f"{len(skipped)} lines have too many values and were left out (the first is line {skipped[0]})"
         )
     return sheet
+
+
+def _commented_names(text: str, first: str, separator: str) -> list[str] | None:
+    """Column names of a table that has them in the comment above its numbers, as numpy.savetxt writes them; None where it has not."""
+    above = [line for line in text[: text.find(first)].splitlines() if line.startswith("#")]
+    if not above or not all(_NUMBER.fullmatch(value.strip()) for value in first.split(separator)):
+        return None
+    names = [name.strip() for name in above[-1].lstrip("#").split(separator)]
+    return names if len(names) == first.count(separator) + 1 > 1 else None
 
 
 def _without_zeros(file: LogFile, text: str) -> tuple[str, int]:
