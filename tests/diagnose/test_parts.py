@@ -395,11 +395,26 @@ def test_in_free_flight_jumps_of_a_position_are_noise_and_what_lasts_is_not(rng,
     assert bool(locate.locate(rows, flown, NoiseFloor({"v_z_m_s": 0.03}, frozenset(), {}))) is located
 
 
-@pytest.mark.parametrize(("recorded", "variable"), [("r_rad_s", None), ("q_rad_s", "q_rad_s")])
-def test_a_channel_does_not_order_its_own_residual(rng, recorded, variable):
-    """A yaw rate that no model predicts is all residual, and by itself explained in full."""
+@pytest.mark.parametrize(
+    ("channel", "recorded", "variable"),
+    [
+        ("r_rad_s", "r_rad_s", None),
+        ("r_rad_s", "q_rad_s", "q_rad_s"),
+        ("v_z_m_s", "v_z_m_s", None),
+        ("a_z_m_s2", "v_z_m_s", "speed_up_m_s"),
+        ("pitch_rad", "pitch_rad", None),
+        ("a_z_m_s2", "pitch_rad", "tilt_rad"),
+    ],
+)
+def test_what_a_channel_measures_does_not_order_its_own_residual(rng, channel, recorded, variable):
+    """A yaw rate that no model predicts is all residual, and by itself explained in full; so is a velocity by the vertical speed, which is
+    the same measurement, and an angle by the tilt."""
     x = np.sin(np.arange(1000) / 15.0 + np.repeat(rng.uniform(0, 6, 20), 50)) + rng.normal(0, 0.05, 1000)
-    rows = replace(rows_of(x, np.zeros((1000, 0)), channel=np.zeros(1000, dtype=int)), channels=("r_rad_s", "v_z_m_s"))
-    flown = tuple(replace(s, kind="free", y={recorded: x[50 * k : 50 * k + 50]}) for k, s in enumerate(responses()))
-    (place,) = locate.locate(rows, flown, NoiseFloor({"r_rad_s": 0.01, "v_z_m_s": 0.03}, frozenset(), {}))
+    rows = replace(rows_of(x, np.zeros((1000, 0)), channel=np.zeros(1000, dtype=int)), channels=(channel, "other"))
+    still = dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad", "v_x_m_s", "v_y_m_s", "v_z_m_s"), np.zeros(50))
+    measured = 0.2 * (x + 2.0)
+    flown = tuple(
+        replace(s, kind="free", y=still | {recorded: measured[50 * k : 50 * k + 50]}) for k, s in enumerate(responses())
+    )
+    (place,) = locate.locate(rows, flown, NoiseFloor({channel: 0.01, "other": 0.03}, frozenset(), {}))
     assert place.regime.get("variable") == variable

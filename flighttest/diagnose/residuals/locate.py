@@ -20,6 +20,7 @@ from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.linearisation import IntArray, Linearisation
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import compass_from_yaw, rotation_from_euler, wrap_angle
+from flighttest.physics.blocks import VELOCITY
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -39,6 +40,12 @@ VARIABLES = {
     "height_m": ("height", "m"), "throttle": ("throttle", ""), "throttle_rate_1_s": ("throttle rate", "1/s"),
     "voltage_v": ("battery voltage", "V"), "time_since_takeoff_s": ("time since take-off", "s"),
     "time_since_command_s": ("time since the last command", "s"),
+}  # fmt: skip
+
+# Channels that a variable is made of: as measured, it holds what their models leave, and orders that by itself.
+MADE_OF = {
+    "speed_forward_m_s": VELOCITY, "speed_left_m_s": VELOCITY, "speed_up_m_s": VELOCITY[2:], "tilt_rad": ("roll_rad", "pitch_rad"),
+    "r_rad_s": ("r_rad_s",),
 }  # fmt: skip
 
 
@@ -183,8 +190,8 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
 
     In free flight no repeats show how far a response's disturbance alone drives a velocity away, nor how heavy the tails of the noise are:
     unless a variable orders the whole, what is left beside each response's own disturbance, which is part of the noise model, is compared
-    with the floor, or with the power of its own high frequencies where that is more. A channel is no variable of its own residual, which
-    holds it.
+    with the floor, or with the power of its own high frequencies where that is more. What a channel's measurements make is no variable of
+    its own residual (`MADE_OF`).
     """
     tau = correlation_times(rows, rows.unprofiled_residual, segments)
     variables = sampled(rows, segments)
@@ -204,7 +211,7 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
             lasts_s = 0.0 if kind == "free" else _lasting(segments, np.unique(rows.segment[at]))
             least = floor.at(name, str(kind), lasts_s)
             excess = float(np.sum(r**2)) / least**2 - at.size
-            here = {v: x[at] for v, x in variables.items() if v != name}
+            here = {v: x[at] for v, x in variables.items() if name not in MADE_OF.get(v, ())}
             mean_square = _beside_disturbance(rows, at, least) if kind == "free" else float(np.mean(r**2))
             if floor.exceeded(name, str(kind), mean_square, at.size / tau[c], lasts_s) or ordered_by_a_variable(
                 name, r, here, rows.segment[at], least, seed, flight[at]
@@ -213,7 +220,7 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
     found = []
     for _, name, kind, at, least in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
         r = rows.unprofiled_residual[at]
-        others = {v: x[at] for v, x in variables.items() if v != name}
+        others = {v: x[at] for v, x in variables.items() if name not in MADE_OF.get(v, ())}
         scores = {v: explained_by(r, x, rows.segment[at], seed, flight[at]) for v, x in others.items()}
         best = max(scores, key=lambda v: (scores[v][1] <= 0.05, scores[v][0])) if scores else ""
         orders = Orders(best, variables[best][at], *scores[best]) if best else Orders()
