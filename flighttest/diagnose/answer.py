@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.model import Finding, Located, Untestable
-from flighttest.diagnose.records import CandidateRow, FloorRow, HeldOutRow, MapCell, Overlay, ParameterRow, RegimeCurve
+from flighttest.diagnose.records import (
+    ABOVE_FLOOR,
+    CandidateRow,
+    FloorRow,
+    HeldOutRow,
+    MapCell,
+    Overlay,
+    ParameterRow,
+    RegimeCurve,
+)
 from flighttest.diagnose.step_error import StepError
 from flighttest.identify.fit import Fit
 from flighttest.identify.free_flight.estimate import HeldEstimate
@@ -51,7 +60,7 @@ class PartAnswer:
     interrupt came before.
 
     accepted: named terms and what they gain, nats; terms: everything that joined the model; tried: ids of the terms that these recordings
-    determine something of; floors, cells, curves, overlaid, errors, left: as in `Diagnosis`; shares: of each channel's excess what stays;
+    determine something of; floors, cells, curves, overlaid, errors, left: as in `Diagnosis`; shares: of each channel's `error` what stays;
     staying: channels (short) whose mismatch stays; held: what prediction errors or kinematics showed of the final model; winds: of flights.
     """
 
@@ -74,6 +83,7 @@ class PartAnswer:
     candidates: list[CandidateRow] = field(default_factory=list)
     baselines: dict[str, dict[str, float]] = field(default_factory=dict)
     shares: list[float] = field(default_factory=list)
+    error: str = ABOVE_FLOOR
     staying: set[str] = field(default_factory=set)
     held: HeldEstimate | None = None
     winds: tuple[FlightWind, ...] = ()
@@ -87,6 +97,12 @@ class PartAnswer:
 def listed(answers: Sequence[PartAnswer], what: str) -> list[Any]:
     """One of the answers' lists (a field of `PartAnswer`), one after the other."""
     return [each for a in answers for each in getattr(a, what)]
+
+
+def error_of(answers: Sequence[PartAnswer]) -> str:
+    """What their shares are shares of; of errors of several kinds, of the error."""
+    kinds = {a.error for a in answers if a.shares}
+    return "error" if len(kinds) > 1 else next(iter(kinds), ABOVE_FLOOR)
 
 
 def merged(tables: Iterable[Mapping[str, V]]) -> dict[str, V]:

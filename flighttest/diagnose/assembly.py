@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.answer import Asked, PartAnswer, listed, merged
+from flighttest.diagnose.answer import Asked, PartAnswer, error_of, listed, merged
 from flighttest.diagnose.conclusion import (
     UNMOVED,
     UNTRIED,
@@ -67,6 +67,7 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
     staying = {c for a in answers for c in a.staying}
     shares = listed(answers, "shares")  # channels count alike, whatever their floors
     share = float(np.mean(shares)) if shares else float(bool(staying))
+    error = error_of(answers)
     so_far = verdict_of(bool(findings), share, bool(located), bool(staying))
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
     nameless = searches and so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)
@@ -80,7 +81,7 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
     proposal = _next(searches, findings, unseen, catalogued, fits) if complete else None
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what was not searched for is neither missing nor explained
-        sentence=sentence_of(so_far, findings, share, located, complete)
+        sentence=sentence_of(so_far, findings, (share, error), located, complete)
         + predicted_worse(merged(a.heldout for a in answers))
         + moved_parameters(asked.previous, after)
         + unlike_flights(_pushes(final_fit) if searches else {}),
@@ -88,7 +89,7 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
         findings=tuple(findings),
         not_needed=tuple(sorted(tried - {*accepted, *hidden})),
         untestable=tuple(unseen),
-        unexplained={"excess_share": float(min(share, 1.0)) if located else 0.0},
+        unexplained={"excess_share": float(min(share, 1.0)) if located or findings else 0.0, "of": error},
         smallest_detectable={k: v for k, (v, _) in levels.items() if np.isfinite(v) and hidden.get(k) != UNSEEN},
         smallest_units={k: _in_units(name, units[name]) if name else SHAPE_ALONE for k, (_, name) in levels.items()},
         model=final,

@@ -15,7 +15,7 @@ from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 
-EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
+EXPLAINED_SHARE = 0.2  # of the error may stay when the mismatch counts as explained
 DELAYS_DIFFER_S = 0.01
 BY_TIME = "time_since_takeoff_s"
 COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do
@@ -26,27 +26,26 @@ UNTRIED = "not looked for to the end: the search was interrupted"
 
 
 def verdict_of(any_named: bool, share: float, located: bool, still: bool) -> Verdict:
-    """The answer as a whole. share: of the excess that stays; still: whether a mismatch is located with what is named, too."""
+    """The answer as a whole. share: of the error that stays; still: whether a mismatch is located with what is named, too."""
     if not any_named:
         return Verdict.UNKNOWN_PHYSICS if located else Verdict.NOTHING_MISSING
     return Verdict.EXPLAINED if not still or share <= EXPLAINED_SHARE else Verdict.PARTLY
 
 
 def sentence_of(
-    verdict: Verdict, findings: Sequence[Finding], share: float, located: Sequence[Located], complete: bool
+    verdict: Verdict, findings: Sequence[Finding], left: tuple[float, str], located: Sequence[Located], complete: bool
 ) -> str:
-    """The answer in one sentence."""
+    """The answer in one sentence. left: share of the error that stays, and which error."""
+    share, error = left
     if not complete and verdict is Verdict.NOTHING_MISSING:
         return "Interrupted: nothing was found missing until then. Effects that were not searched may be missing."
     more = "" if complete else " Interrupted: there may be more."
     names = ", ".join(_name(f) for f in findings)
     if verdict is Verdict.EXPLAINED:
         gone = 100 * max(0.0, 1 - share)
-        return (
-            f"The base model lacks: {names}. Adding it removes {gone:.0f} % of the error above the noise floor.{more}"
-        )
+        return f"The base model lacks: {names}. Adding it removes {gone:.0f} % of the {error}.{more}"
     if verdict is Verdict.PARTLY:
-        return f"The base model lacks: {names}. {100 * share:.0f} % of the error above the noise floor remains unexplained.{more}"
+        return f"The base model lacks: {names}. {100 * share:.0f} % of the {error} remains unexplained.{more}"
     if verdict is Verdict.NOTHING_MISSING:
         return (
             "Nothing is missing above the noise floor. The smallest effects that would have been detected are listed."
@@ -96,7 +95,8 @@ def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
 
 
 def _larger(ratio: float) -> str:
-    return f"{ratio:.2g} times the error" if ratio >= 2.0 else f"{100.0 * (ratio - 1.0):.1g} % more error"
+    more = 100.0 * (ratio - 1.0)
+    return f"{ratio:.2g} times the error" if ratio >= 2.0 else f"{more:.{0 if more >= 1.0 else 1}f} % more error"
 
 
 def different_delays(table: Mapping[str, ParameterRow]) -> list[str]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose.answer import SEED, Asked, PartAnswer
 from flighttest.diagnose.findings import parameter_in_words, with_owner
 from flighttest.diagnose.model import Finding, Located, TermVerdict
-from flighttest.diagnose.records import CandidateRow, HeldOutRow, ParameterRow
+from flighttest.diagnose.records import WITH_GUSTS, CandidateRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.comparison import level_of, probability_of
 from flighttest.estimation.uncertainty.distributions import fisher_beyond, fisher_quantile
 from flighttest.identify.free_flight.estimate import HeldEstimate
@@ -156,7 +156,8 @@ def by_kinematics(segments: Sequence[Segment], pool: Sequence[Term]) -> PartAnsw
     made.terms = tuple(made.accepted)
     made.heldout = {e.channel: {"all": e.row()} for e in found}
     made.located = [_place(segments, e) for e in found]
-    made.shares = [0.0 for _ in found]
+    made.shares = [(row["all"]["rmse_after"] / row["all"]["rmse_before"]) ** 2 for row in made.heldout.values()]
+    made.error = WITH_GUSTS
     made.candidates = [e.candidate() for e in found]
     made.held = _joined([e.held for e in found])
     return made

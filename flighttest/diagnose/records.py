@@ -62,6 +62,11 @@ FROM_REPEATS = "repeats"
 FROM_RESIDUAL = "high-frequency residual and usual drift of estimates (weaker: no repeats were flown)"
 
 
+# What it is a share of that a search removes or leaves: where nothing was repeated, nothing measures what gusts and noise are of it.
+ABOVE_FLOOR = "error above the noise floor"
+WITH_GUSTS = "error (gusts and noise included)"
+
+
 class MapCell(TypedDict):
     """RMS error in noise floors, before and after, of one channel in one phase of one cell of steps."""
 
@@ -162,9 +167,10 @@ class SetAside(TypedDict, total=False):
 
 
 class Unexplained(TypedDict):
-    """Share of the excess over the noise floor that stays."""
+    """Share of the error that stays; of: which error, in words (`answer.error_of`)."""
 
     excess_share: float
+    of: str
 
 
 class Cost(TypedDict, total=False):

@@ -72,7 +72,13 @@ def test_the_gain_is_the_share_of_what_lies_above_the_floor(before, after, gain)
 
 @pytest.mark.parametrize(
     ("after", "high", "said"),
-    [(0.66, -0.28, "a_y (3.3 times the error)"), (0.66, 0.02, ""), (0.03, -0.01, ""), (0.1, 0.15, "")],
+    [
+        (0.66, -0.28, "a_y (3.3 times the error)"),
+        (0.226, -0.01, "a_y (13 % more error)"),
+        (0.66, 0.02, ""),
+        (0.03, -0.01, ""),
+        (0.1, 0.15, ""),
+    ],
 )
 def test_what_is_predicted_worse_with_what_is_named_is_said_in_the_headline(after, high, said):
     """Only what is surely worse, and above the noise floor."""

@@ -12,6 +12,7 @@ from flighttest.diagnose.free_flight import equation_search
 from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
 from flighttest.diagnose.model import Rival, TermVerdict
+from flighttest.diagnose.records import WITH_GUSTS
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, in_still_air
 from flighttest.identify.models import model_file
@@ -153,16 +154,30 @@ def test_of_what_a_variable_orders_and_nothing_explains_all_is_unexplained():
     assert found.unexplained["excess_share"] == 1.0
 
 
+def test_what_stays_of_the_error_in_free_flight_holds_gusts_and_noise():
+    """The floor is what is left, so that names removed 100 % of the error above it in any flight, whatever stayed."""
+    found = diagnosed()
+    left = found.unexplained
+    assert left["of"] == WITH_GUSTS
+    assert 0.0 < left["excess_share"] < 0.2
+    assert (
+        f"removes {100.0 * (1.0 - left['excess_share']):.0f} % of the error (gusts and noise included)"
+        in found.sentence
+    )
+
+
 def test_the_headline_says_what_these_flights_do_not_distinguish():
     """One heading: a wind of 4.2 m/s in a tunnel was called a tilted thrust axis, with the rival only further down."""
     found = diagnosed()
     rival = Rival("attitude_offset", TermVerdict.CONFUSABLE, 1.0, "fly a second heading")
     one = replace(found.findings[0], rivals=(rival,))
-    said = sentence_of(Verdict.EXPLAINED, [one], 0.1, found.located, True)
+    said = sentence_of(Verdict.EXPLAINED, [one], (0.1, WITH_GUSTS), found.located, True)
     assert "steady wind (or thrust axis and reported attitude differ: these recordings do not distinguish them)" in said
     assert "distinguish" not in found.sentence
     other = replace(rival, verdict=TermVerdict.NOT_NEEDED)
-    assert "(or" not in sentence_of(Verdict.EXPLAINED, [replace(one, rivals=(other,))], 0.1, found.located, True)
+    assert "(or" not in sentence_of(
+        Verdict.EXPLAINED, [replace(one, rivals=(other,))], (0.1, WITH_GUSTS), found.located, True
+    )
 
 
 def test_what_is_written_and_shown_has_the_winds():

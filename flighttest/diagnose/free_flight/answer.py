@@ -16,12 +16,11 @@ from flighttest.diagnose.free_flight.equation_search import PART_IN_WORDS, Equat
 from flighttest.diagnose.free_flight.prediction import held_out_table
 from flighttest.diagnose.free_flight.reported import candidates_of, findings_of, notes_of_search, smallest_of, table_of
 from flighttest.diagnose.model import Finding, Untestable, short
-from flighttest.diagnose.records import FloorRow, ParameterRow
+from flighttest.diagnose.records import WITH_GUSTS, FloorRow, ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.detectability import missing_channels, why_unseen
-from flighttest.diagnose.selection.held_out import excess
 from flighttest.errors import FitError
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Linearisation
@@ -67,6 +66,7 @@ def by_prediction_errors(part: str, asked: Asked, winds: Sequence[FlightWind] = 
             raise
         return PartAnswer(notes=[f"nothing in this recording moves the {PART_IN_WORDS[part]}: it is left out"])
     made = PredictionErrorAnswer(complete=search.complete, search=search, held=search.final.held, winds=search.winds)
+    made.error = WITH_GUSTS
     made.terms = tuple(t for t in search.final.model.terms if t not in model.terms and t != WIND_TERM)
     made.accepted = {t: n.nats for t, n in search.named.items()}
     known = {*search.named, *search.refused, *made.terms, *(one.term for one in search.screened)}
@@ -97,13 +97,23 @@ def _compare(made: PredictionErrorAnswer, segments: tuple[Segment, ...], air: tu
     floor = free_flight_floor(after, air)
     made.located = locate(before, segments, floor, SEED)
     made.staying = {p.channel for p in locate(after, air, floor, SEED) if p.regime}
-    # Of mean squares above the floor where they are: as the floor is what is left, often none.
-    above, first, last = {p.channel for p in made.located}, excess(before, floor), excess(after, floor)
-    made.shares = [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
+    made.shares = [_share_left(before, after, floor)]
     made.floors = {short(c): FloorRow({"value": v, "from": FROM_EQUATIONS}) for c, v in floor.std.items()}
     made.cells = residual_map(before, after, segments, floor)
     made.curves = regime_curves(made.located, before, after, segments)
     made.overlaid = overlays(before, after, segments)
+
+
+def _share_left(before: Linearisation, after: Linearisation, floor: NoiseFloor) -> float:
+    """Of the squared error of all channels, each in its noise floors, what stays: as that floor is what is left, nothing is above it."""
+    first, last = (
+        sum(
+            float(np.mean(rows.unprofiled_residual[rows.channel == c] ** 2)) / floor.of(name) ** 2
+            for c, name in enumerate(rows.channels)
+        )
+        for rows in (before, after)
+    )
+    return min(last / first, 1.0) if first > 0.0 else 1.0
 
 
 def free_flight_floor(rows: Linearisation, segments: Sequence[Segment]) -> NoiseFloor:

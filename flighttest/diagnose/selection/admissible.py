@@ -54,7 +54,7 @@ def outside_prior(term: Term, found: EstimatedModel, least: float, *, repeated: 
         if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, found))):
             return f"{p.name} is at its bound, {value:.3g}{unit_suffix(p)}"
         if p.natural_bound == "lower" and not repeated and value - p.lower <= (error := found.half_interval(p)):
-            return f"{p.name} is {value:.3g} +- {error:.1g}{unit_suffix(p)}, which may be its bound, {p.lower:.3g}{unit_suffix(p)}"
+            return f"{p.name} is {value:.3g} +- {error:.2g}{unit_suffix(p)}, which may be its bound, {p.lower:.3g}{unit_suffix(p)}"
         wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0
         # One of several may be there by chance.
         if wrong and (len(coefficients) == 1 or abs(value - null_value(p)) > _by_chance(p, found)):

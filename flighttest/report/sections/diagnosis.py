@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
-from flighttest.diagnose.records import FROM_REPEATS, DiagnosisData, HeldOutRow, ParameterRow, RivalRow
+from flighttest.diagnose.records import ABOVE_FLOOR, FROM_REPEATS, DiagnosisData, HeldOutRow, ParameterRow, RivalRow
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.report.document import OMITTED, Align, Bullets, Cell, Code, PageBlock, Paragraph, Section, Table, Tone
 from flighttest.report.numbers import number, percent, to_error, unit
@@ -294,7 +294,7 @@ def _limits(data: DiagnosisData) -> Section:
         )
     left = data.get("unexplained")
     if left:
-        blocks.append(Paragraph(f"Unexplained: {percent(left['excess_share'])} of the error above the noise floor."))
+        blocks.append(Paragraph(f"Unexplained: {percent(left['excess_share'])} of the {left.get('of', ABOVE_FLOOR)}."))
     notes = tuple(_sentence(str(n)) for n in data.get("notes") or ())
     if notes:
         blocks.append(Bullets(notes))
