@@ -14,10 +14,11 @@ from flighttest.estimation.drift import DISTURBANCE_DRIFT
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import ROTOR_HEIGHT_M
 
 EXPLAINED_SHARE = 0.2  # of the error may stay when the mismatch counts as explained
 DELAYS_DIFFER_S = 0.01
-BY_TIME = "time_since_takeoff_s"
+BY_TIME, BY_HEIGHT = "time_since_takeoff_s", "height_m"
 COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do
 # A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is reported.
 MOVED, MOVED_ERRORS = 0.05, 4.0
@@ -155,6 +156,17 @@ def unrecorded_battery(located: Sequence[Located], recorded: bool) -> list[str]:
     return [
         f"battery: the error of {', '.join(dict.fromkeys(late))} depends on the time since take-off, and no battery voltage was recorded: "
         "a battery that runs down looks like this; record its voltage"
+    ]
+
+
+def rotor_height_taken(located: Sequence[Located], named: Sequence[str], rotor_height_m: float) -> list[str]:
+    """Where more lift near the ground has no name, and the height of the rotors is the usual one, not this vehicle's."""
+    low = any(p.regime.get("variable") == BY_HEIGHT and "below" in p.regime and p.peak > 0.0 for p in located)
+    if not low or "ground_effect" in named or rotor_height_m != ROTOR_HEIGHT_M:
+        return []
+    return [
+        f"ground effect: more lift near the ground has no name; the rotors were taken to be {rotor_height_m:g} m above the recorded "
+        "height, and those of a small vehicle are lower: give rotor_height_m in the vehicle file, less what the height reads on the ground"
     ]
 
 

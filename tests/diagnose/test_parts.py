@@ -336,6 +336,27 @@ def test_a_battery_that_was_not_recorded_is_named_where_thrust_falls_with_time(
 
 
 @pytest.mark.parametrize(
+    ("regime", "peak", "named", "rotor_height_m", "noted"),
+    [
+        ({"variable": "height_m", "below": 0.11}, 0.8, (), 0.2, True),
+        ({"variable": "height_m", "below": 0.11}, -0.8, (), 0.2, False),
+        ({"variable": "height_m", "above": 0.11}, 0.8, (), 0.2, False),
+        ({"variable": "throttle", "below": 0.11}, 0.8, (), 0.2, False),
+        ({"variable": "height_m", "below": 0.11}, 0.8, ("ground_effect",), 0.2, False),
+        ({"variable": "height_m", "below": 0.11}, 0.8, (), 0.02, False),
+    ],
+)
+def test_more_lift_near_the_ground_without_a_name_asks_for_the_height_of_the_rotors(
+    regime, peak, named, rotor_height_m, noted
+):
+    """Six flights of a Crazyflie close to the ground: no name with rotors 0.2 m above the recorded height, ground effect with 0 m."""
+    place = Located("a_z", "free", "free", regime, 0.7, 0.15, "", 0.3, 0.1, "m/s^2", peak)
+    notes = conclusion.rotor_height_taken([place], named, rotor_height_m)
+    assert bool(notes) is noted
+    assert all("give rotor_height_m" in n for n in notes)
+
+
+@pytest.mark.parametrize(
     ("interval", "more", "words"),
     [
         ([0.4, 0.6], {}, "tc 0.5 ± 0.1 s"),
