@@ -41,13 +41,14 @@ def held_out_table(
     """Channel (short) to RMS errors, of groups not used, of two models of these flights: of means over half a second; of attitude loops one
     sample ahead, by the noise of the smaller model, since what gusts do to an attitude lasts.
 
-    Parameters without a group by one Gauss-Newton step from the estimate with it; a flight's own wind is taken as estimated.
+    Parameters without a group by one Gauss-Newton step from the estimate with it; a flight's own wind is taken as estimated. Floor:
+    what the better of the two leaves of what it was estimated from.
     """
     errors = [_left_out(flown, one, smaller.noise) for one in (smaller, larger)]
     table: dict[str, dict[str, HeldOutRow]] = {}
     rng = np.random.default_rng(SEED)
     for channel in errors[0]:
-        (before, group, _), (after, _, inside) = (e[channel] for e in errors)
+        (before, group, of_smaller), (after, _, of_larger) = (e[channel] for e in errors)
         n = min(before.size, after.size)
         before, after, group = before[:n], after[:n], group[:n]
         members = [np.flatnonzero(group == g) for g in np.unique(group)]
@@ -57,7 +58,8 @@ def held_out_table(
         table[short(channel)] = {
             "all": HeldOutRow(
                 rmse_before=float(np.sqrt(np.mean(before**2))), rmse_after=float(np.sqrt(np.mean(after**2))),
-                floor=float(np.sqrt(np.mean(inside**2))), gain_95=[float(v) for v in np.quantile(gains, [0.025, 0.975])],
+                floor=min(float(np.sqrt(np.mean(one**2))) for one in (of_smaller, of_larger)),
+                gain_95=[float(v) for v in np.quantile(gains, [0.025, 0.975])],
             )
         }  # fmt: skip
     return table
