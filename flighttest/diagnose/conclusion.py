@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.model import Finding, Located, TermVerdict, Verdict
+from flighttest.diagnose.model import Finding, Located, TermVerdict, Verdict, channel_words
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import SIGNIFICANCE
 from flighttest.estimation.drift import DISTURBANCE_DRIFT
@@ -88,7 +88,7 @@ def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
     below zero, and the error is above the noise floor."""
     worse = {c: rows["all"] for c, rows in held.items() if rows["all"]["gain_95"][1] < 0.0}
     said = [
-        f"{c} ({_larger(row['rmse_after'] / row['rmse_before'])})"
+        f"{channel_words(c)} ({_larger(row['rmse_after'] / row['rmse_before'])})"
         for c, row in worse.items()
         if row["rmse_after"] > row["floor"]
     ]

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from enum import Enum, StrEnum
 from typing import Any, cast
 
+from flighttest.channels import WORDS
 from flighttest.diagnose.records import (
     CandidateRow,
     Cost,
@@ -208,6 +209,11 @@ def short(channel: str) -> str:
         if channel.endswith(unit):
             return channel.removesuffix(unit)
     return channel
+
+
+def channel_words(channel: str) -> str:
+    """A channel as diagnosis.json names it (v_x, r) as people read it: velocity north, yaw rate."""
+    return next((words for name, words in WORDS.items() if channel in (name, short(name))), channel)
 
 
 def flown(kind: str) -> str:

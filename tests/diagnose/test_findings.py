@@ -73,8 +73,8 @@ def test_the_gain_is_the_share_of_what_lies_above_the_floor(before, after, gain)
 @pytest.mark.parametrize(
     ("after", "high", "said"),
     [
-        (0.66, -0.28, "a_y (3.3 times the error)"),
-        (0.226, -0.01, "a_y (13 % more error)"),
+        (0.66, -0.28, "acceleration west (3.3 times the error)"),
+        (0.226, -0.01, "acceleration west (13 % more error)"),
         (0.66, 0.02, ""),
         (0.03, -0.01, ""),
         (0.1, 0.15, ""),
@@ -86,4 +86,4 @@ def test_what_is_predicted_worse_with_what_is_named_is_said_in_the_headline(afte
     other = HeldOutRow(rmse_before=0.2, rmse_after=0.3, floor=0.04, gain_95=[-0.2, 0.1])
     sentence = predicted_worse({"a_y": {"all": row}, "v_z": {"all": other}})
     assert (said in sentence) if said else sentence == ""
-    assert "v_z" not in sentence
+    assert "velocity" not in sentence

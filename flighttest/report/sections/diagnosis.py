@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
+from flighttest.diagnose.model import channel_words
 from flighttest.diagnose.records import ABOVE_FLOOR, FROM_REPEATS, DiagnosisData, HeldOutRow, ParameterRow, RivalRow
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.report.document import OMITTED, Align, Bullets, Cell, Code, PageBlock, Paragraph, Section, Table, Tone
 from flighttest.report.numbers import number, percent, to_error, unit
-from flighttest.report.sections.diagnosis_figures import before_after, channel_words, heat_map, regimes
+from flighttest.report.sections.diagnosis_figures import before_after, heat_map, regimes
 
 BASELINE_WORDS = {"with what was left out": "improved model"}  # a key of diagnosis.json
 NORMAL_95 = 1.96  # of winds in files that do not state their factor

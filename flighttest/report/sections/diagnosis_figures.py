@@ -6,21 +6,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from flighttest.channels import WORDS
-from flighttest.diagnose.model import short
+from flighttest.diagnose.model import channel_words
 from flighttest.diagnose.records import DiagnosisData, MapCell, Overlay
 from flighttest.report.document import Figure, Panel, Role, Trace
 from flighttest.report.numbers import unit
 from flighttest.report.sections.fit import KIND_WORDS
 
 MAX_OVERLAYS = 6
-_WORDS = {short(name): words for name, words in WORDS.items()}
 _Curve = Literal["measured", "before", "after"]
-
-
-def channel_words(channel: str) -> str:
-    """A channel as diagnosis.json names it (v_x, r) as people read it: velocity north, yaw rate."""
-    return _WORDS.get(channel, WORDS.get(channel, channel))
 
 
 def heat_map(data: DiagnosisData) -> Figure | None:
