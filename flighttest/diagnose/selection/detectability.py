@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flighttest.diagnose.model import Untestable
+from flighttest.diagnose.model import Untestable, brief
 from flighttest.diagnose.selection.candidates import Candidate, usual_size
 from flighttest.diagnose.selection.comparison import LEAST_FLOORS, log_odds_asked, weights_of
 from flighttest.diagnose.selection.search import Search
@@ -108,6 +108,4 @@ def why_unseen(term: Term, level: float, name: str) -> str:
     if level <= PLAUSIBLE * usual:
         return ""
     unit = next((p.unit if p.unit != "1" else name for p in term.amplitudes if p.name == name), "times itself")
-    return (
-        f"would be detected from {level:.2g}{f' {unit}' if unit else ''} on, {level / usual:.1f} times its usual size"
-    )
+    return f"would be detected from {brief(level)}{f' {unit}' if unit else ''} on, {level / usual:.1f} times its usual size"
