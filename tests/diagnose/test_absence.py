@@ -8,7 +8,6 @@ import pytest
 from flight import campaign, fly
 
 from flighttest.diagnose.residuals.lack_of_fit import floor_of
-from flighttest.diagnose.selection import absence
 from flighttest.diagnose.selection.absence import may_be_absent, undriven
 from flighttest.diagnose.selection.comparison import Fitted, log_evidence
 from flighttest.estimation.estimator import Estimator
@@ -48,7 +47,7 @@ def test_a_term_of_which_nothing_is_determined_may_be_absent():
 
 
 @pytest.mark.parametrize("hung", [True, False])
-def test_a_load_that_only_swings_before_each_response_is_no_load(monkeypatch, hung):
+def test_a_load_that_only_swings_before_each_response_is_no_load(hung):
     """In throttle steps under the real firmware, velocity wandered by 5 mm/s: four initial states per response followed it, and a load of
     0.10 was named with a probability above 0.999. From rest it explained nothing (-0.4 nats)."""
     rng = np.random.default_rng(7)
@@ -76,15 +75,5 @@ def test_a_load_that_only_swings_before_each_response_is_no_load(monkeypatch, hu
     groups = np.arange(len(segments)) % 5
     floor = floor_of(larger.rows, segments, {})
     assert sum(log_evidence(larger, smaller, estimator, groups, floor).values()) > 10.0
-    asked = catalogue()["slung_payload"], larger, smaller, estimator, groups, 22
-    said = undriven(*asked)
-    assert said == "" if hung else "from rest it explains nothing" in said
-    # In another's downwash a load of 0.07 had 16 nats from rest, and p 0.58 by the covariance that is printed (0 with free states).
-    gains = []
-    monkeypatch.setattr(
-        absence, "may_be_absent", lambda term, fitted, gain, *_: gains.append((term, fitted, gain)) or "p"
-    )
-    assert (undriven(*asked) == "from rest, p") is hung
-    assert all(
-        gain > 0.0 and fitted is not larger and not any(s.free for s in term.states) for term, fitted, gain in gains
-    )
+    said = undriven(catalogue()["slung_payload"], larger, smaller, estimator, groups)
+    assert ("from rest it explains nothing" in said) != hung

@@ -28,19 +28,18 @@ def may_be_nothing(
 ) -> str:
     """Why a term that is needed beside the rest of a fitted model may be nothing all the same, empty where it is something. without: the
     model fitted without it; candidates: terms of the search."""
-    return undriven(term, fitted, without, estimator, groups, candidates) or may_be_absent(
-        term, fitted, _gained(fitted, without, estimator), estimator, candidates
-    )
+    alone = undriven(term, fitted, without, estimator, groups)
+    if alone:
+        return alone
+    before, after = (rows_in_noise_of(fitted, one, estimator).residual for one in (without, fitted))
+    return may_be_absent(term, fitted, float(before @ before - after @ after), estimator, candidates)
 
 
-def undriven(
-    term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray, candidates: int
-) -> str:
+def undriven(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:
     """Why a term whose states settle may be no part of the vehicle, empty where what moves the vehicle shows it, too.
 
     States that are free at the start of every response follow whatever wanders slowly in it, the error of an estimator for one. The same
-    equations from rest have only what the flight excites: a term is the vehicle's where these alone are better than none at `PROBABILITY`,
-    and their absence is excluded, too.
+    equations from rest have only what the flight excites: a term is the vehicle's where these alone are better than none at `PROBABILITY`.
     """
     if not any(s.settles for s in term.states):
         return ""
@@ -53,15 +52,8 @@ def undriven(
     known = floor_of(from_rest.rows, estimator.segments, RESOLUTION)
     nats = sum(log_evidence(from_rest, without, estimator, groups, known).values())
     if nats >= log_odds_asked(1):
-        why = may_be_absent(rest, from_rest, _gained(from_rest, without, estimator), estimator, candidates)
-        return f"from rest, {why}" if why else ""
+        return ""
     return f"from rest it explains nothing ({nats:.1f} nats): what it follows was there before each response, and nothing flown moves it"
-
-
-def _gained(larger: Fitted, smaller: Fitted, estimator: Estimator) -> float:
-    """Twice the difference of two models' log likelihoods in the noise of the larger."""
-    before, after = (rows_in_noise_of(larger, one, estimator).residual for one in (smaller, larger))
-    return float(before @ before - after @ after)
 
 
 def may_be_absent(term: Term, fitted: Fitted, gain: float, estimator: Estimator, candidates: int) -> str:
