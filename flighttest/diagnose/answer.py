@@ -60,8 +60,9 @@ class PartAnswer:
     interrupt came before.
 
     accepted: named terms and what they gain, nats; terms: everything that joined the model; tried: ids of the terms that these recordings
-    determine something of; floors, cells, curves, overlaid, errors, left: as in `Diagnosis`; shares: of each channel's `error` what stays;
-    staying: channels (short) whose mismatch stays; held: what prediction errors or kinematics showed of the final model; winds: of flights.
+    determine something of; floors, cells, curves, overlaid, errors, left: as in `Diagnosis`; shares: what stays of each channel's error,
+    or of that of all; error: which error that is, in words; staying: channels (short) whose mismatch stays; held: what prediction errors or
+    kinematics showed of the final model; winds: of flights.
     """
 
     complete: bool = True

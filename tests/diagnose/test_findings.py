@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flighttest.diagnose.answer import PartAnswer, error_of
 from flighttest.diagnose.conclusion import predicted_worse
 from flighttest.diagnose.findings import parameter_table
 from flighttest.diagnose.output_error.reported import held_out_gain, undetermined_sizes
-from flighttest.diagnose.records import HeldOutRow
+from flighttest.diagnose.records import ABOVE_FLOOR, WITH_GUSTS, HeldOutRow
 from flighttest.identify.fit import Estimate
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
@@ -87,3 +88,12 @@ def test_what_is_predicted_worse_with_what_is_named_is_said_in_the_headline(afte
     sentence = predicted_worse({"a_y": {"all": row}, "v_z": {"all": other}})
     assert (said in sentence) if said else sentence == ""
     assert "velocity" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("errors", "said"),
+    [((ABOVE_FLOOR, ABOVE_FLOOR), ABOVE_FLOOR), ((WITH_GUSTS,), WITH_GUSTS), ((ABOVE_FLOOR, WITH_GUSTS), "error")],
+)
+def test_shares_of_errors_of_several_kinds_are_called_shares_of_the_error(errors, said):
+    nothing = PartAnswer(error="of a part without a share")
+    assert error_of([nothing, *(PartAnswer(shares=[0.1], error=one) for one in errors)]) == said

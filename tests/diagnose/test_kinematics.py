@@ -7,6 +7,7 @@ import pytest
 
 from flighttest.diagnose import diagnose
 from flighttest.diagnose.kinematics import KinematicsAnswer, by_kinematics, in_time
+from flighttest.diagnose.records import WITH_GUSTS
 from flighttest.estimation.drift import DRIFT
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
@@ -72,6 +73,9 @@ def test_a_latency_is_one_that_every_recording_shows_and_that_leaves_little(runs
         (mean,) = made.held.values.values()
         assert mean == pytest.approx(np.mean([c.velocity_late_s for c in runs]))
         assert made.held.covariance[0, 0] >= 0.01**2  # of the stamp
+        (row,) = (rows["all"] for rows in made.heldout.values())
+        assert made.shares == pytest.approx([(row["rmse_after"] / row["rmse_before"]) ** 2])
+        assert made.error == WITH_GUSTS
 
 
 def test_a_stamp_is_no_latency_and_a_smaller_one_would_not_be_seen():

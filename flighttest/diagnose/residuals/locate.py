@@ -185,6 +185,11 @@ def _lasting(segments: Sequence[Segment], which: NDArray[np.intp]) -> float:
     return float(np.sqrt(np.mean([(segments[i].t_s[-1] - segments[i].t_s[0]) ** 2 for i in which])))
 
 
+def _others(variables: Mapping[str, FloatArray], channel: str, at: IntArray) -> dict[str, FloatArray]:
+    """Variables at these rows, but those that the channel's own measurements make."""
+    return {name: x[at] for name, x in variables.items() if channel not in MADE_OF.get(name, ())}
+
+
 def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, seed: int = 0) -> list[Located]:
     """The places where the mismatch is, worst first: above the floor beyond chance (`NoiseFloor.exceeded`), or ordered by a variable.
 
@@ -211,7 +216,7 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
             lasts_s = 0.0 if kind == "free" else _lasting(segments, np.unique(rows.segment[at]))
             least = floor.at(name, str(kind), lasts_s)
             excess = float(np.sum(r**2)) / least**2 - at.size
-            here = {v: x[at] for v, x in variables.items() if name not in MADE_OF.get(v, ())}
+            here = _others(variables, name, at)
             mean_square = _beside_disturbance(rows, at, least) if kind == "free" else float(np.mean(r**2))
             if floor.exceeded(name, str(kind), mean_square, at.size / tau[c], lasts_s) or ordered_by_a_variable(
                 name, r, here, rows.segment[at], least, seed, flight[at]
@@ -220,7 +225,7 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
     found = []
     for _, name, kind, at, least in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
         r = rows.unprofiled_residual[at]
-        others = {v: x[at] for v, x in variables.items() if name not in MADE_OF.get(v, ())}
+        others = _others(variables, name, at)
         scores = {v: explained_by(r, x, rows.segment[at], seed, flight[at]) for v, x in others.items()}
         best = max(scores, key=lambda v: (scores[v][1] <= 0.05, scores[v][0])) if scores else ""
         orders = Orders(best, variables[best][at], *scores[best]) if best else Orders()
