@@ -57,6 +57,14 @@ def test_a_tilted_thrust_axis_in_still_air_is_called_no_wind():
     assert abs(found.final.values["offset_pitch"] - 0.04) < 4.0 * found.final.std["offset_pitch"]
 
 
+def test_what_every_flight_shows_in_another_size_is_there_and_its_value_is_uncertain():
+    offsets = (0.02, 0.04, 0.06)
+    flown = [w for k, o in enumerate(offsets) for w in flight(40.0, 30 + k, gust=0.1, offset=o, run=f"tilted {k}")]
+    found = find_terms(stretches(flown), ALONE, POOL)
+    assert "attitude_offset" in found.named
+    assert found.final.std["offset_pitch"] > 0.7 * np.std(offsets, ddof=1) / np.sqrt(3.0)
+
+
 @pytest.mark.parametrize("rule", ["outside_prior", "against_larger"])
 def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monkeypatch, rule):
     """A load of -27 % of the mass was named on a tail-sitter, 71 nats better, with errors of 1.3 and 2.8 times the base model's."""

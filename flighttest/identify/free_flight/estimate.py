@@ -89,9 +89,10 @@ class FreeFlight:
     values: parameters by name, those of one flight as `name@flight`; std: standard errors of the estimated ones, robust over 1 to 5 s;
     covariance (q, q) in the order of `names`; noise: per channel the spectrum of what is left; rms: per channel of the residual, SI units;
     seconds: of flight used; priors: names whose error is mostly the prior's; spread: by name of a shared parameter, the standard deviation
-    by which flights differ in it beyond their errors (in `covariance` already); inflation: median ratio of the robust variances to those of
-    the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson 2002, section 2.5);
-    blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between the samples of the residual.
+    by which flights differ in it beyond their errors; between (q, q): what that adds, in `covariance` already; inflation: median ratio of
+    the robust variances to those of the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham
+    and Anderson 2002, section 2.5); blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between
+    the samples of the residual.
     """
 
     model: Model
@@ -111,6 +112,7 @@ class FreeFlight:
     spread: Mapping[str, float] = field(default_factory=dict)
     inflation: float = 1.0
     blocks: int = 0
+    between: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def held(self) -> HeldEstimate:
@@ -360,7 +362,7 @@ class _PredictionErrors:
             minimum.status.good, self.log_likelihood(self.cost(at)), self.asked.part,
             self.equations.period_s, leaning,
             {c: float(v) for c, v in zip(self.columns, spread, strict=True) if v > 0.0},
-            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1,
+            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1, extra,
         )  # fmt: skip
 
 
