@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +86,6 @@ def _drawn(case: Case, here: Sequence[RecordedSet], data: Path) -> Case:
     return replace(case, noise=0.0, gust_rms_m_s=0.0, noise_from=noise)
 
 
-@lru_cache(maxsize=64)  # a quarter of a trial's time, and a set of three files or fewer has one source
 def blocks_of(source: NoiseSource) -> tuple[FloatArray, ...]:
     """Blocks (n, 11) at `oracle.STEP_S` of the recordings: left of specific force (body), velocity (world), roll, pitch, yaw rate, fast
     part of p and q; SI. InputError where no window is long enough."""
