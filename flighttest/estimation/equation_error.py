@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,14 +55,33 @@ class Autoregression:
         """Number of lags."""
         return self.coefficients.size - 1
 
+    @cached_property
+    def _starting(self) -> tuple[FloatArray, FloatArray]:
+        """(order, order) filters of the first samples, by what is known before each, and (order,) their standard deviations: Levinson's
+        recursion downwards (Brockwell and Davis 1991, section 5.2)."""
+        filters, std = np.eye(self.order), np.full(self.order, self.std)
+        a, variance = self.coefficients, self.std**2
+        for k in range(self.order - 1, -1, -1):
+            left = max(1.0 - a[-1] ** 2, 1e-12)
+            a, variance = (a - a[-1] * a[::-1])[:-1] / left, variance / left
+            filters[k, : k + 1], std[k] = a[::-1], np.sqrt(variance)
+        return filters, std
+
     def whitened(self, values: FloatArray) -> FloatArray:
-        """(n - order, ...) of (n, ...): filtered along time and divided by `std`; the first `order` samples only start it."""
-        n = len(values) - self.order
-        out = np.zeros((max(n, 0), *values.shape[1:]))
-        if n > 0:
-            for lag, a in enumerate(self.coefficients):
-                out += a * values[self.order - lag : self.order - lag + n]
-        return out / self.std
+        """(n, ...) of (n, ...): filtered along time, of unit variance; the first samples by the lower orders that their past allows."""
+        filters, std = self._starting
+        first = min(self.order, len(values))
+        out = np.zeros(values.shape)
+        out[:first] = np.tensordot(filters[:first, :first] / std[:first, None], values[:first], axes=1)
+        n = len(values) - first
+        for lag, a in enumerate(self.coefficients):
+            out[first:] += a / self.std * values[first - lag : first - lag + n]
+        return out
+
+    def log_scale(self, size: int) -> float:
+        """Sum of the logarithms of the standard deviations that `whitened` divides so many samples by."""
+        first = self._starting[1][:size]
+        return float(np.sum(np.log(first)) + (size - first.size) * np.log(self.std))
 
     def spectrum(self, frequency_hz: FloatArray, period_s: float) -> FloatArray:
         """One-sided power spectral density at these frequencies, unit^2 per Hz."""
@@ -146,7 +166,7 @@ def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per
         # The channels of one moment are of one block: a gust moves them all.
         begin = starts.get((s.channel, s.group), 0)
         starts[s.channel, s.group] = begin + s.residual.size
-        at = (begin + ar.order + np.arange(r.size)) // rows_per_block
+        at = (begin + np.arange(r.size)) // rows_per_block
         block.append(np.array([known.setdefault((s.group, int(b)), len(known)) for b in at], dtype=np.intp))
         first += r.size
     if not residual:
@@ -157,13 +177,14 @@ def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per
 
 
 def log_scale(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> float:
-    """Minus the log likelihood of the innovations less half their whitened sum of squares, but for a constant: n log std of every stream of
-    n samples; and one for every coefficient of the noise (Akaike 1974), since a noise of many imitates what a model lacks. The samples that
-    only start a filter count as innovations of their expected square, 1: noise models of different orders would else be compared on
-    different samples."""
-    known = [(s.residual.size, noise[s.channel]) for s in streams]
+    """Minus the log likelihood of the innovations less half their whitened sum of squares, but for a constant: the logarithms of what every
+    sample is divided by; and one for every coefficient of the noise (Akaike 1974), since a noise of many imitates what a model lacks.
+
+    All samples count, the first by what is known before them: noises of different orders would else be compared on different samples. On
+    tunnel flights one of 40 lags, which left out the first 4 s, had 111 nats more than one of 17 at the same parameters.
+    """
     coefficients = sum(noise[c].order for c in {s.channel for s in streams})
-    return float(sum(size * np.log(ar.std) + 0.5 * ar.order for size, ar in known)) + coefficients
+    return sum(noise[s.channel].log_scale(s.residual.size) for s in streams) + coefficients
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
 
 from flighttest.estimation.equation_error import (
     Autoregression,
@@ -155,6 +157,20 @@ def test_only_what_functions_of_the_state_make_of_a_column_errs_with_them():
     share = np.diag(lack_of_fit([beside], noise)["y"].along) / np.sum(columns**2, axis=0)
     assert share[1] == pytest.approx(1.0, abs=0.01)
     assert share[2] < 0.01
+
+
+def test_every_sample_is_whitened_by_what_is_known_before_it():
+    """Against the Cholesky factor of the covariance of a stationary noise. Without its first samples a noise of 40 lags had 111 nats more
+    than one of 17 on tunnel flights, at the same parameters."""
+    noise = Autoregression(np.array([1.0, -1.5, 0.9, -0.2]), 0.3)
+    answer = lfilter([0.3], noise.coefficients, np.eye(1, 4000)[0])
+    covariance = toeplitz([answer[: 4000 - k] @ answer[k:] for k in range(12)])
+    root, values = np.linalg.cholesky(covariance), np.random.default_rng(4).standard_normal((12, 2))
+    assert noise.whitened(values) == pytest.approx(np.linalg.solve(root, values))
+    assert noise.whitened(values[:2]) == pytest.approx(
+        np.linalg.solve(root[:2, :2], values[:2])
+    )  # shorter than its order
+    assert noise.log_scale(12) == pytest.approx(np.sum(np.log(np.diag(root))))
 
 
 @pytest.mark.parametrize("std", [0.1, 10.0])
