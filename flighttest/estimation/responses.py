@@ -126,6 +126,8 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
         return filled(t, y.get("height_m", y.get("p_z_m")), NO_GROUND_M)
     if name == "time_s":
         return segment.since_takeoff_s
+    if name == "relative_thrust":
+        return relative_thrust(segment)
     if name in TRIMMED:
         return np.full(t.shape, segment.context.trimmed_m_s[TRIMMED.index(name)])
     if name.startswith("target_"):
@@ -144,6 +146,14 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
         return np.asarray(CubicSpline(t, rate)(t, 1)) if t.size > 1 else np.zeros_like(t)
     values = filled(t, y.get(name), 0.0)
     return np.unwrap(values) if name in _ANGLES else values
+
+
+def relative_thrust(segment: Segment) -> FloatArray:
+    """(n,) throttle over that of hover: thrust over weight of a thrust curve that is a line; 1 where either is not known."""
+    hover = segment.context.hover_throttle
+    if not hover or "throttle" not in segment.u:
+        return np.ones(segment.t_s.size)
+    return zero_order_hold(segment.u["throttle"], segment.t_s) / hover
 
 
 def _voltage(segment: Segment, nominal_voltage_v: float) -> FloatArray:

@@ -15,7 +15,7 @@ from flighttest.physics.core import Expr, Param, Signals, Term
 # Signals a block may take as measured, sampled at the segment's times; a block lists those it depends on.
 EXOGENOUS = (
     "roll_rad", "pitch_rad", "yaw_rad", "p_rad_s", "q_rad_s", "r_rad_s", "p_dot_rad_s2", "q_dot_rad_s2", "r_dot_rad_s2",
-    "target_roll_rad", "target_pitch_rad", "voltage_v", "height_m", "time_s",
+    "target_roll_rad", "target_pitch_rad", "voltage_v", "height_m", "time_s", "relative_thrust",
 )  # fmt: skip
 AXES = (("roll", ("roll_rad", "roll_rate_rad_s")), ("pitch", ("pitch_rad", "pitch_rate_rad_s")), ("yaw", ("r_rad_s",)))
 _REFERENCES = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s")
@@ -142,7 +142,7 @@ def measured_signals(e: Mapping[str, Expr], p: Mapping[str, Expr], constants: Ma
     s = Signals(
         roll=e["roll_rad"], pitch=e["pitch_rad"], yaw=e["yaw_rad"],
         target_roll=e["target_roll_rad"], target_pitch=e["target_pitch_rad"],
-        voltage=e["voltage_v"], height_m=e["height_m"], time_s=e["time_s"],
+        voltage=e["voltage_v"], height_m=e["height_m"], time_s=e["time_s"], relative_thrust=e["relative_thrust"],
         nominal_voltage=constants["nominal_voltage_v"], rotor_height=constants["rotor_height_m"], g=constants["g"], base=dict(p),
     )  # fmt: skip
     s.rates = ca.vertcat(e["p_rad_s"], e["q_rad_s"], e["r_rad_s"])

@@ -106,10 +106,10 @@ class State:
 class Signals:
     """What a term may read, as CasADi expressions; `physics.model` fills it port by port.
 
-    References are the delayed ones. v_air_body: (3,) air-relative velocity in body axes; v_trimmed: (3,) that velocity at which the
-    autopilot has trimmed the moments of the air away; rates, angular_acceleration: (3,)
-    body; rotation: (3, 3) body to world; height_m: of the feet above ground; rotor_height: of the rotors above the feet, m;
-    time_s: since take-off; a_t: thrust acceleration after the lag (before aero gain), a_t_total after it; command: commanded
+    References are the delayed ones. v_air_body: (3,) air-relative velocity in body axes; relative_thrust: over that of hover;
+    v_trimmed: (3,) that velocity, times the root of that thrust, at which the autopilot has trimmed the moments of the air away; rates,
+    angular_acceleration: (3,) body; rotation: (3, 3) body to world; height_m: of the feet above ground; rotor_height: of the rotors above
+    the feet, m; time_s: since take-off; a_t: thrust acceleration after the lag (before aero gain), a_t_total after it; command: commanded
     thrust acceleration K (U/U_n)^alpha T times motor gains; a_t_dot: rate of a_t so far (what THRUST_LAG maps); force: (3,)
     specific force so far; v_dot_world: (3,) once all forces are known (MEASUREMENT only); target_roll/target_pitch: the attitude target
     (shaped where recorded, else the reference). roll_acceleration, pitch_acceleration, yaw_acceleration: second Euler
@@ -140,6 +140,7 @@ class Signals:
     v_trimmed: Expr = None
     height_m: Expr = 0.0
     rotor_height: Expr = 0.0
+    relative_thrust: Expr = 1.0
     time_s: Expr = 0.0
     a_t: Expr = 0.0
     a_t_total: Expr = 0.0

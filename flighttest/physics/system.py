@@ -73,6 +73,7 @@ def build_system(
 
     s = Signals(
         throttle=u["throttle"], voltage=u["voltage_v"], time_s=u["time_s"], height_m=x["p_z_m"], a_t=x["a_t_m_s2"],
+        relative_thrust=x["a_t_m_s2"] / constants["g"],
         nominal_voltage=constants["nominal_voltage_v"], rotor_height=constants["rotor_height_m"],
         g=constants["g"], base=p, sigma_t=p["sigma_t"],
     )  # fmt: skip

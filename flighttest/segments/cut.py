@@ -233,6 +233,22 @@ def windows(start_s: float, end_s: float, length_s: float = WINDOW_S) -> list[Fo
     return [FoundStep("free", {}, float(a), float(a), float(b)) for a, b in pairwise(bounds)]
 
 
+def _median_throttle(references: References | None, flown: Sequence[tuple[float, float]]) -> float | None:
+    """Over the time in the air; None where no throttle was recorded there."""
+    if references is None:
+        return None
+    throttle = references.values[:, INPUTS.index("throttle")]
+    held_s = np.zeros(throttle.size)
+    for begin, end in flown:
+        held_s += np.diff(np.clip(references.t_s, begin, end), append=end)
+    held_s[~np.isfinite(throttle)] = 0.0
+    order = np.argsort(throttle)
+    reached = np.cumsum(held_s[order])
+    if not reached.size or reached[-1] <= 0.0:
+        return None
+    return float(throttle[order][np.searchsorted(reached, 0.5 * reached[-1])])
+
+
 class _Cutter:
     """Makes segments of one recording."""
 
@@ -242,7 +258,9 @@ class _Cutter:
         self.aligned = aligned
         self.streamed = "roll_ref_rad" not in recording.provenance.derived
         up = [m.t_s for m in recording.markers if m.label == "take-off"]
-        self.takeoffs_s = up[:1] or [start for start, _ in flights(recording)]
+        flown = flights(recording)
+        self.takeoffs_s = up[:1] or [start for start, _ in flown]
+        self.hover_throttle = _median_throttle(references, flown)
 
     def segment(self, response: FoundStep, mark: Marked | None) -> Segment:
         t_s, y = sample(self.aligned, response.start_s, response.end_s)
@@ -293,6 +311,7 @@ class _Cutter:
             derived=dict(provenance.derived),
             compatibility=self.aligned.compatibility,
             voltage_samples=self._voltage_samples(response),
+            hover_throttle=self.hover_throttle,
         )
 
     def _takeoff_s(self, t_s: float) -> float:

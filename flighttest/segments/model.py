@@ -42,8 +42,9 @@ class SegmentContext:
     reference_clock: 'vehicle' or 'ground', where references are stamped, '' where that is not known; clock_error_s: between the two
     clocks, None where it is not known; edge_error_s: what is not known of the time of an edge in a table. derived: channel name to the
     sentence on how it was derived. compatibility: what was corrected by kinematics. voltage_samples: (t_s (n,), voltage_v (n,)) as
-    recorded, in and about the segment; None where the voltage is not that of the recording. trimmed_m_s: velocity through the air, forward,
-    left, up in body axes, at which the autopilot has trimmed the moments of the air away: the mean of a flight, none of a hover.
+    recorded, in and about the segment; None where the voltage is not that of the recording. hover_throttle: median of the flight, None
+    where that is not known. trimmed_m_s: velocity through the air, forward, left, up in body axes, times the root of thrust over hover
+    thrust, at which the autopilot has trimmed the moments of the air away: the mean of a flight, none of a hover.
     """
 
     later_edges_s: tuple[float, ...] = ()
@@ -56,6 +57,7 @@ class SegmentContext:
     derived: Mapping[str, str] = field(default_factory=dict)
     compatibility: Compatibility | None = None
     voltage_samples: tuple[FloatArray, FloatArray] | None = None
+    hover_throttle: float | None = None
     trimmed_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 

@@ -81,7 +81,9 @@ class FramePlant(TermsPlant):
         turning = [w + (a - w) * exp(-h / lag) for w, a, lag in zip(wanted, self._turning, self._lags, strict=True)]
         pushed = turning
         if self._of_the_air is not None:
-            added = self._of_the_air(self._angles, self._through_the_air())
+            added = self._of_the_air(
+                self._angles, self._through_the_air(), float(self._x[self._index["a_t_m_s2"]]) / G_M_S2
+            )
             pushed = [a + b for a, b in zip(turning, added.full().ravel().tolist(), strict=True)]
         p, q, r = (v + 0.5 * h * a for v, a in zip(self.rates_rad_s, pushed, strict=True))
         self._turning, self.rates_rad_s = turning, [v + h * a for v, a in zip(self.rates_rad_s, pushed, strict=True)]
@@ -116,18 +118,21 @@ class FramePlant(TermsPlant):
 
 
 def moments_of_the_air(model: Model, values: Mapping[str, float]) -> ca.Function | None:
-    """(roll, pitch, yaw in rad, velocity through the air in m/s, world) to the angular acceleration (3,), rad/s^2, by the model's
-    aerodynamic moments, of which the autopilot has trimmed nothing: that is what flies it. None where it has none."""
+    """(roll, pitch, yaw in rad, velocity through the air in m/s, world; thrust over that of hover) to the angular acceleration (3,),
+    rad/s^2, by the model's aerodynamic moments, of which the autopilot has trimmed nothing: that is what flies it. None where it has
+    none."""
     every = replace(model, attitude_loops=True).built_terms
     terms = [t for t in every if t.port is Port.ANGULAR and t.family == "aerodynamics"]
     if not terms:
         return None
-    angles, velocity = ca.SX.sym("angles", 3), ca.SX.sym("v", 3)
-    s = Signals(v_world=velocity, v_trimmed=ca.SX.zeros(3), rotation=rotation(*ca.vertsplit(angles)))
+    angles, velocity, thrust = ca.SX.sym("angles", 3), ca.SX.sym("v", 3), ca.SX.sym("thrust")
+    s = Signals(
+        v_world=velocity, v_trimmed=ca.SX.zeros(3), rotation=rotation(*ca.vertsplit(angles)), relative_thrust=thrust
+    )
     total = ca.SX.zeros(3)
     for t in terms:
         total += t.build(s, {p.name: values[p.name] for p in t.params}, {x.name: 0.0 for x in t.states}).value
-    return ca.Function("moments", [angles, velocity], [total])
+    return ca.Function("moments", [angles, velocity, thrust], [total])
 
 
 def thrust_in_air(model: Model, values: Mapping[str, float]) -> Callable[..., float]:

@@ -212,8 +212,10 @@ def strayed():
 
 
 def hub_moments():
-    """Of `flight`, a rotation of scipy's instead of the product's; 0.1 m/s of each is trimmed."""
-    forward, left, up = Rotation.from_euler("ZYX", [0.7, -0.1, 0.2]).inv().apply([2.0, 1.0, 0.5]) - [0.6, 0.3, 0.0]
+    """Of `flight`, a rotation of scipy's instead of the product's; 0.1 m/s of each is trimmed. Thrust of 1.44 turns the rotors 1.2 times as
+    fast, and advance ratio times thrust is as their speed."""
+    body = Rotation.from_euler("ZYX", [0.7, -0.1, 0.2]).inv().apply([2.0, 1.0, 0.5])
+    forward, left, up = 1.44 * body / 1.2 - [0.6, 0.3, 0.0]
     return [0.8 * left + 0.3 * up, 2.0 * up - 0.5 * forward, 0.0]
 
 
@@ -247,7 +249,9 @@ WITNESSES = {
     "attitude_offset": ({"offset_pitch": 0.1}, {}, [8 * np.sin(0.1), 0.0, 8 * (np.cos(0.1) - 1)]),
     "roll_pitch_coupling": ({"pitch_to_roll": 0.1, "roll_to_pitch": -0.2}, {}, [-0.26, 0.28]),
     # v_world in body axes by the rotation matrix of the attitude, less what is trimmed
-    "airflow_moment": ({"m_u": 0.5, "l_v": 0.8, "m_w": 2.0, "l_w": 0.3}, {"v_trimmed": [0.5, 0.2, -0.1]}, hub_moments()),
+    "airflow_moment": (
+        {"m_u": 0.5, "l_v": 0.8, "m_w": 2.0, "l_w": 0.3}, {"v_trimmed": [0.5, 0.2, -0.1], "relative_thrust": 1.44}, hub_moments(),
+    ),
     "channel_delay": ({"delay_attitude": 0.01, "delay_yaw_rate": 0.03}, {}, [0.01, 0.03]),
     # Far below the limit nothing; far above, the rate asked for is the limit: 2 zeta w (limit - wanted).
     "rate_limit": (

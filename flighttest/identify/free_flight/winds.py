@@ -12,6 +12,7 @@ from enum import Enum
 
 import numpy as np
 
+from flighttest.estimation.responses import relative_thrust
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.identify.free_flight.estimate import FreeFlight, estimate
@@ -217,13 +218,18 @@ def in_still_air(segments: Sequence[Segment], winds: Sequence[FlightWind]) -> tu
 
 
 def _mean_body_velocity(segments: Sequence[Segment]) -> tuple[float, float, float]:
-    """Of all samples with attitude and velocity, forward, left and up, m/s; zero where there are none."""
+    """Of all samples with attitude and velocity, times the root of thrust over hover thrust: forward, left and up, m/s; zero where there
+    are none."""
     needed = ("roll_rad", "pitch_rad", "yaw_rad", "v_x_m_s", "v_y_m_s", "v_z_m_s")
-    every = [np.stack([s.y[n] for n in needed]) for s in segments if all(n in s.y for n in needed)]
-    known = np.concatenate(every, axis=1) if every else np.zeros((6, 0))
+    every = [
+        np.stack([*(s.y[n] for n in needed), np.sqrt(np.maximum(relative_thrust(s), 0.0))])
+        for s in segments
+        if all(n in s.y for n in needed)
+    ]
+    known = np.concatenate(every, axis=1) if every else np.zeros((7, 0))
     known = known[:, np.isfinite(known).all(axis=0)]
     if not known.size:
         return 0.0, 0.0, 0.0
-    body = np.einsum("nij,ni->nj", rotation_from_euler(known[:3].T), known[3:].T)
+    body = np.einsum("nij,ni,n->nj", rotation_from_euler(known[:3].T), known[3:6].T, known[6])
     forward, left, up = body.mean(axis=0).tolist()
     return forward, left, up

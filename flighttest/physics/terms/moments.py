@@ -1,4 +1,8 @@
-"""Moments of the air on the vehicle, as stability derivatives: angular acceleration per velocity through the air."""
+"""Moments of the air on the vehicle, as stability derivatives: angular acceleration per velocity through the air.
+
+A rotor in a crossflow of speed V flaps, or loads its hub, in proportion to its thrust and to its advance ratio, V over the speed of its
+tips. With fixed blades thrust is as the square of that speed, so that the moment is as V times the root of the thrust.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import casadi as ca
 
 from flighttest.physics.core import Contribution, Param, Port, Signals, State, Term, Values
 
+LEAST_THRUST = 0.01  # of hover: the root has no slope at none
 _UPRIGHT = "blade flapping, and drag off the centre of mass: 0.2 to 2"
 _SKEWED = "none by symmetry in still air; in wind 0.5 to 2"
 
@@ -15,7 +20,8 @@ def _derivative(name: str, symbol: str, doc: str, source: str) -> Param:
 
 
 def _moments(s: Signals, p: Values, x: Values) -> Contribution:
-    away = s.rotation.T @ s.v_world - s.v_trimmed - ca.vertcat(*x.values())
+    root = ca.sqrt(ca.fmax(s.relative_thrust, LEAST_THRUST))
+    away = root * (s.rotation.T @ s.v_world) - s.v_trimmed - ca.vertcat(*x.values())
     u, v, w = ca.vertsplit(away)
     moments = ca.vertcat(p["l_v"] * v + p["l_w"] * w, -p["m_u"] * u + p["m_w"] * w, 0)
     return Contribution(moments, dict(zip(x, ca.vertsplit(p["moment_trim_1_s"] * away), strict=True)))
@@ -42,12 +48,13 @@ airflow_moment = Term(
     ),
     build=_moments,
     equation="(phi_dd, theta_dd) += (L_v v + L_w w, M_w w - M_u u), (u, v, w) = V - V_t, V_t_dot = k_m (V - V_t), "
-    "V: velocity through the air in body axes",
+    "V: velocity through the air in body axes times the root of thrust over hover thrust",
     plain="speed through the air tilts the vehicle: the rotors flap back, drag acts off the centre of mass, front and rear rotors meet "
     "another air",
     source="Bramwell, Done and Balmford, Bramwell's Helicopter Dynamics, chapter 5 (M_u, L_v, M_w); Hoffmann et al., Quadrotor helicopter "
-    "flight dynamics and control, AIAA GNC 2007",
-    doubt="when a response begins, the mean of its flight is taken to be trimmed; derivatives by climb are those of the wind flown in",
+    "flight dynamics and control, AIAA GNC 2007 (flapping by the advance ratio)",
+    doubt="thrust over hover thrust is throttle over the flight's median throttle; when a response begins, the mean of its flight is taken "
+    "to be trimmed; derivatives by climb are those of the wind flown in",
     hides_in=("omega_phi", "omega_theta", "zeta_phi", "zeta_theta"),
     told_apart_by="speed after the tilt has ended; climb and descent in wind",
     reveals="speed_dash",

@@ -192,7 +192,7 @@ class RotorPlant:
             mz += spin * arm * lift
         jx, jy, jz = v.inertia_x_kg_m2, v.inertia_y_kg_m2, v.inertia_z_kg_m2
         if self._hubs:
-            hubs, load = self._hubs, sum(rotors) / (mass * G_M_S2)
+            hubs, load = self._hubs, sqrt(max(sum(rotors), 0.0) / (mass * G_M_S2))
             mx += jx * load * (hubs["l_v"] * by + hubs["l_w"] * bz)
             my += jy * load * (hubs["m_w"] * bz - hubs["m_u"] * bx)
         p, q, r = self._p, self._q, self._r

@@ -44,7 +44,7 @@ EFFECTS: dict[str, Effect] = {
     ),
     "airflow_moment": Effect(
         {"m_u": 1.3, "l_v": 1.3, "m_w": 0.0, "l_w": 0.0},
-        "moments of the hubs by forward, sideward and climb speed: rad/s^2 per m/s at hover thrust, in proportion to thrust",
+        "moments of the hubs by forward, sideward and climb speed: rad/s^2 per m/s at hover thrust, with the root of the thrust",
     ),
     "vortex_ring": Effect(
         {
