@@ -137,6 +137,21 @@ def test_loops_follow_the_autopilots_own_target_where_it_was_recorded():
     assert doubled == pytest.approx(found, rel=0.02, abs=0.01)
 
 
+def test_loops_follow_the_reference_where_it_explains_them_better_than_the_target_as_sampled():
+    """A target recorded 0.1 s late asks for a delay below none: what that leaves was taken for 40 noise floors of a hidden effect."""
+    noise = OracleNoise({**oracle.FIRST, "roll_rad": 1e-3, "pitch_rad": 1e-3}, oracle.FIRST_DISTURBANCE)
+    plain = [tilt(k) for k in range(4)]
+    late = [
+        replace(
+            s,
+            y=s.y | {n.replace("_ref_", "_shaped_"): np.where(s.t_s >= 0.1, x[-1], x[0]) for n, (_, x) in s.u.items()},
+        )
+        for s in plain
+    ]
+    found, sampled = (oracle.left(flown, noise, 22.2).parameters["roll_pitch"] for flown in (plain, late))
+    assert sampled == pytest.approx(found)
+
+
 def test_a_hidden_effect_is_measured_by_quiet_twins_with_and_without_it(monkeypatch):
     """Of two effects each has its own twin; the size that the tool claims stands beside the true one."""
     case = replace(draw(5, 3), hide={"translational_lift": {"k_lift": 0.02}, "steady_wind": {"w_north": 1.0}})

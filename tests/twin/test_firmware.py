@@ -159,11 +159,11 @@ def test_moments_of_the_air_are_in_the_physics(frame):
     options, _ = firmware_options(stored(terms=("linear_drag", "airflow_moment"), m_u=0.0, l_v=0.0, m_w=0.4, l_w=0.0))
     assert options.model["terms"] == ["body", "linear_drag", "airflow_moment"]
     plant = build_motor_plant(SimOptions.from_json(options.to_json()))
-    climbed = 0.0
+    turned = 0.0
     while plant.motion.on_ground or plant.motion.pz < 0.5:
         plant.step([1.3 * plant.hover_throttle] * 4, 0.00125)
-        climbed += 0.00125 * plant.motion.vz
-    assert plant.rates_rad_s[1] == pytest.approx(0.4 * climbed, rel=0.02)
+        turned += 0.00125 * 0.4 * plant.motion.vz * np.sqrt(1.3)
+    assert plant.rates_rad_s[1] == pytest.approx(turned, rel=0.02)
     assert plant.rates_rad_s[0] == pytest.approx(0.0, abs=1e-9)
 
 

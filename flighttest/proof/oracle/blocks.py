@@ -121,11 +121,15 @@ class OracleBlock(ABC):
 
 class RollPitchLoops(OracleBlock):
     """phi'' = omega^2 (phi_ref(t - T) + d - phi) - 2 zeta omega phi', pitch alike; theta: omega, zeta of both, T.
-    phi_ref: what the loops follow, the autopilot's own target behind its shaping where that was recorded."""
+    phi_ref: what the loops follow, the autopilot's own target behind its shaping where that was recorded, or the reference itself:
+    by_reference. A target as sampled steps up to a sample late, and loops that follow it at once have no delay to make up for that."""
 
     name, channels, kinds = "roll_pitch", ("roll_rad", "pitch_rad"), TILTED
     inputs = ("roll_ref_rad", "pitch_ref_rad")
     bounds = ((1.0, 0.02, 1.0, 0.02, 0.0), (120.0, 3.0, 120.0, 3.0, 0.4))
+
+    def __init__(self, by_reference: bool = False) -> None:
+        self.by_reference = by_reference
 
     def start(self, r: OracleResponses) -> Sequence[float]:
         """As `OracleBlock.start`."""
@@ -138,7 +142,7 @@ class RollPitchLoops(OracleBlock):
         for k, axis in enumerate(("roll", "pitch")):
             omega, zeta = theta[2 * k], theta[2 * k + 1]
             poles = (1.0, 2.0 * zeta * omega, omega**2)
-            asked = r.held(f"{axis}_ref_rad", theta[4], f"{axis}_shaped_rad")
+            asked = r.held(f"{axis}_ref_rad", theta[4], "" if self.by_reference else f"{axis}_shaped_rad")
             residual[..., k] = r.y(f"{axis}_rad") - _answer((omega**2,), poles, asked)
             disturbed[..., k, k] = step = _answer((omega**2,), poles, np.ones(PARTS * (n - 1)))
             # From an angle of one: what a step asks back; from a rate of one: the answer to a push.

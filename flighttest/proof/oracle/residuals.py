@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from flighttest.proof.oracle.blocks import (
     OracleBlock,
@@ -135,26 +135,21 @@ def left(
     residual: dict[tuple[str, str], FloatArray] = {}
     disturbance: dict[tuple[str, str], FloatArray] = {}
     parameters: dict[str, FloatArray] = {}
-    for block in (RollPitchLoops(), YawLoop(), Translation(nominal_voltage_v)):
-        fed = [s for s in usable if feeds(s, block)]
+    for forms in (
+        (RollPitchLoops(), RollPitchLoops(by_reference=True)),
+        (YawLoop(),),
+        (Translation(nominal_voltage_v),),
+    ):
+        fed = [s for s in usable if feeds(s, forms[0])]
         if not fed:
             continue
         data = OracleResponses(fed)
-        std = np.array([noise.std[c] for c in block.channels])
-        whiten = data.mask[:, :, None] * np.stack([data.recorded(c) for c in block.channels], axis=1)[:, None] / std
-        spread = noise.disturbance.get(block.name, FIRST_DISTURBANCE[block.name])
-
-        usual = np.array(block.start(data))
-        known = None if near is None else near.parameters.get(block.name)
-        fitted = least_squares(
-            partial(_misfit, block, data, whiten, spread),
-            usual if known is None or not np.isfinite(known).all() else known,
-            x_scale=np.abs(usual) * 0.1 + 1e-3,
-            bounds=block.bounds,
-            ftol=1e-7,
-            xtol=1e-7,
-            max_nfev=30,
-        )
+        std = np.array([noise.std[c] for c in forms[0].channels])
+        whiten = data.mask[:, :, None] * np.stack([data.recorded(c) for c in forms[0].channels], axis=1)[:, None] / std
+        spread = noise.disturbance.get(forms[0].name, FIRST_DISTURBANCE[forms[0].name])
+        known = None if near is None else near.parameters.get(forms[0].name)
+        fits = [(block, _fitted(block, data, whiten, spread, known)) for block in forms]
+        block, fitted = min(fits, key=lambda fit: float(fit[1].cost))
         parameters[block.name] = np.where(fitted.active_mask == 0, fitted.x, np.nan)
         rows, constant = profiled(*block.of(data, fitted.x), whiten, spread)
         for i, s in enumerate(fed):
@@ -162,6 +157,22 @@ def left(
             there = [(k, c) for k, c in enumerate(block.channels) if data.recorded(c)[i]]
             residual |= {(s.name, c): rows[i, : data.n[i], k] * std[k] for k, c in there}
     return Left(residual, {s.name: s.kind for s in usable}, disturbance, parameters)
+
+
+def _fitted(
+    block: OracleBlock, data: OracleResponses, whiten: FloatArray, spread: float, known: FloatArray | None
+) -> OptimizeResult:
+    """A block's parameters, from those known of another flight where none of them is at a bound."""
+    usual = np.array(block.start(data))
+    return least_squares(
+        partial(_misfit, block, data, whiten, spread),
+        usual if known is None or not np.isfinite(known).all() else known,
+        x_scale=np.abs(usual) * 0.1 + 1e-3,
+        bounds=block.bounds,
+        ftol=1e-7,
+        xtol=1e-7,
+        max_nfev=30,
+    )
 
 
 def _misfit(
