@@ -50,7 +50,7 @@ def interval(low: float | None, high: float | None, std: float | None = None) ->
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return "-"
     if std is not None and math.isfinite(std) and std > 0:
-        return f"{low:.{decimal_places(std)}f} to {high:.{decimal_places(std)}f}"
+        return " to ".join(_decimals(end, decimal_places(std)) for end in (low, high))
     return f"{number(low, 3)} to {number(high, 3)}"
 
 
@@ -58,8 +58,13 @@ def percent(share: float | None, places: int = 1) -> str:
     """A share as per cent, with so many decimals."""
     if share is None or not math.isfinite(share):
         return "-"
-    text = f"{100 * share:.{places}f}"
-    return f"{text.removeprefix('-') if float(text) == 0 else text} %"
+    return f"{_decimals(100 * share, places)} %"
+
+
+def _decimals(value: float, places: int) -> str:
+    """Without a sign before nothing."""
+    text = f"{value:.{places}f}"
+    return text.removeprefix("-") if float(text) == 0 else text
 
 
 def duration(seconds: float) -> str:

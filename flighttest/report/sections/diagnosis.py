@@ -12,11 +12,11 @@ from flighttest.diagnose.model import channel_words
 from flighttest.diagnose.records import ABOVE_FLOOR, FROM_REPEATS, DiagnosisData, HeldOutRow, ParameterRow, RivalRow
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.report.document import OMITTED, Align, Bullets, Cell, Code, PageBlock, Paragraph, Section, Table, Tone
-from flighttest.report.numbers import number, percent, to_error, unit
+from flighttest.report.numbers import interval, number, percent, to_error, unit
 from flighttest.report.sections.diagnosis_figures import before_after, heat_map, regimes
 
 BASELINE_WORDS = {"with what was left out": "improved model"}  # a key of diagnosis.json
-NORMAL_95 = 1.96  # of winds in files that do not state their factor
+NORMAL_95 = 1.96  # standard errors: of winds in files that do not state their factor, and of drops
 FEW_PLACES = 2  # where a mismatch is, which a terminal names without being asked
 _VERDICT_TONES: dict[str, Tone] = {
     "EXPLAINED": "good",
@@ -214,7 +214,7 @@ def _heldout_rows(data: DiagnosisData) -> list[tuple[Cell | str, ...]]:
     rows: list[tuple[Cell | str, ...]] = []
     for channel, h in held.items():
         low, high = (h.get("gain_95") or (None, None))[:2]
-        drop = "-" if low is None or high is None else f"{number(low, 3)} to {number(high, 3)}"
+        drop = interval(low, high, None if low is None or high is None else (high - low) / (2.0 * NORMAL_95))
         better = low is not None and low > 0
         after = Cell(number(h.get("rmse_after"), 3), "good" if better else "plain")
         rows.append((channel_words(channel), number(h.get("rmse_before"), 3), after, number(h.get("floor"), 3), drop))
