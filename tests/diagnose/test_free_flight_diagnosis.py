@@ -13,6 +13,7 @@ from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
 from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS
+from flighttest.estimation.responses import exogenous
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, in_still_air
 from flighttest.identify.models import model_file
@@ -157,6 +158,15 @@ def test_the_autopilot_has_trimmed_the_mean_velocity_through_the_air_in_body_axe
     forward, up = 4.0 * np.cos(0.3) - np.sin(0.3), 4.0 * np.sin(0.3) + np.cos(0.3)
     for one in found:
         assert one.context.trimmed_m_s == pytest.approx((forward, 0.0, up))
+
+
+def test_moments_are_trimmed_with_the_root_of_the_thrust_over_that_of_hover():
+    (segment,) = flight(30.0, 5, run="one")[:1]
+    flown = replace(segment, u=segment.u | {"throttle": (segment.t_s[:1] - 1.0, np.array([0.36]))})
+    known = replace(flown, context=replace(flown.context, hover_throttle=0.25))
+    (unknown,), (hard,) = in_still_air([flown], []), in_still_air([known], [])
+    assert hard.context.trimmed_m_s == pytest.approx(1.2 * np.array(unknown.context.trimmed_m_s))
+    assert exogenous(hard, "relative_thrust", 22.2, 0.0) == pytest.approx(1.44)
 
 
 def test_of_what_a_variable_orders_and_nothing_explains_all_is_unexplained():

@@ -188,6 +188,13 @@ def test_the_batterys_own_samples_are_kept(campaign):
     assert np.median(np.diff(times)) == pytest.approx(0.1)
 
 
+def test_the_throttle_that_hovers_is_the_one_held_for_half_of_the_flight(fly):
+    held = fly(
+        [(1.0, 0.0, 0.0, 0.0, 0.1), (1.0, 0.2, 0.0, 0.0, 0.1), (6.0, 0.0, 0.0, 0.0, 0.3), (2.0, 0.0, 0.0, 0.0, 0.5)]
+    )
+    assert {s.context.hover_throttle for s in cut(held.recording())} == {0.3}
+
+
 def test_repeats_share_a_cell_and_are_counted(fly, campaign):
     twice = fly([*campaign.pieces, *campaign.pieces])
     segments = cut(twice.recording())
