@@ -14,6 +14,7 @@ from flighttest.diagnose.selection.comparison import (
     Fitted,
     change_by_stratum,
     evidence_of,
+    held_out_errors,
     inadmissible,
     log_evidence,
     log_odds_asked,
@@ -368,8 +369,25 @@ def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(r
     x = rng.normal(size=1000)
     with_it, without = (fitted(2.0 * x + rng.normal(size=1000), c, ("p0",)) for c in (x[:, None], np.ones((1000, 1))))
     groups = np.arange(SEGMENTS) % 5
-    falls = held_out_falls(without.held_out(groups), with_it.held_out(groups), groups)
+    falls = held_out_falls(*held_out_errors(without, with_it, SimpleNamespace(), groups), groups)
     assert falls == {"f_z_m_s2": pytest.approx(1.0 - 1.0 / np.sqrt(5.0), abs=0.05)}
+
+
+def test_what_was_not_used_is_predicted_by_both_models_in_the_noise_of_the_larger(rng):
+    """By its own noise each of two models has other initial states: a sideward velocity, which a lag of the thrust cannot touch, was 28 %
+    worse with it."""
+    x = rng.normal(size=(1000, 2))
+    larger, smaller = fitted(x[:, 0], x, ("p0", "p1")), fitted(x[:, 0], x[:, :1], ("p0",))
+    own = replace(smaller, at=replace(smaller.at, noise=replace(NOISE, channel={"f_z_m_s2": 3.0})))
+    asked = []
+
+    def linearise(_model, at, _names):
+        asked.append(at.noise)
+        return smaller.rows
+
+    before, after = held_out_errors(own, larger, SimpleNamespace(linearise=linearise), GROUPS)
+    assert asked == [larger.at.noise]
+    assert (before.rows, after.rows) == (smaller.rows, larger.rows)
 
 
 def test_an_estimate_that_may_be_nothing_is_not_named():

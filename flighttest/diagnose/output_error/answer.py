@@ -14,6 +14,7 @@ from flighttest.diagnose.residuals.locate import locate, regime_curves, residual
 from flighttest.diagnose.residuals.mismatch import step_errors
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.baselines import baselines
+from flighttest.diagnose.selection.comparison import held_out_errors
 from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
 from flighttest.diagnose.selection.fitted_models import FittedModels
 from flighttest.diagnose.selection.held_out import HeldOut, excess, gains_held_out, horizon_rmse
@@ -84,8 +85,7 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
     made.accepted = {term: e.nats for term, e in search.evidence.items()}
     made.tried = frozenset(made.terms) | (frozenset(t.id for t in search.pool) if made.complete else frozenset())
     unchanged, settled = now is base, search.beside_drift()
-    before_held = base.held_out(asked.groups)
-    after_held = before_held if unchanged else now.held_out(asked.groups)
+    before_held, after_held = held_out_errors(base, now, search.estimator, asked.groups)
     horizons_b = horizon_rmse(before_held, segments)
     horizons_a = horizons_b if unchanged else horizon_rmse(after_held, segments)
     for name, h in gains_held_out(before_held, after_held, asked.groups, floor, SEED).items():

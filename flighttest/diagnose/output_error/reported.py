@@ -11,7 +11,7 @@ from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown,
 from flighttest.diagnose.records import CandidateRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.aliases import aliases_of
 from flighttest.diagnose.selection.candidates import null_value
-from flighttest.diagnose.selection.comparison import Evidence
+from flighttest.diagnose.selection.comparison import Evidence, held_out_errors
 from flighttest.diagnose.selection.held_out import gains_held_out
 from flighttest.diagnose.selection.proposals import LEAST_PREDICTED
 from flighttest.diagnose.selection.search import Search
@@ -25,8 +25,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
     assert search.now is not None
     assert search.floor is not None
     term, evidence = search.terms[term_id], search.evidence[term_id]
-    without = evidence.without
-    before, after = without.held_out(groups), search.now.held_out(groups)
+    before, after = held_out_errors(evidence.without, search.now, search.estimator, groups)
     heldout = {
         short(name): HeldOutRow(
             rmse_before=h.rmse_before, rmse_after=h.rmse_after, floor=h.floor, gain_95=list(h.gain_95)

@@ -66,10 +66,6 @@ class Fitted:
         """How far what is estimated may move from the optimum."""
         return Margins.of([self.model.param[n] for n in self.names], self.at.values)
 
-    def held_out(self, groups: IntArray) -> PredictionErrors:
-        """As of `held_out`."""
-        return PredictionErrors(self.rows, held_out(self.rows, self.names, groups, self.margins))
-
     @property
     def finite(self) -> bool:
         """Whether the simulation and its derivatives are numbers."""
@@ -183,6 +179,16 @@ def rows_in_noise_of(larger: Fitted, smaller: Fitted, estimator: Estimator) -> L
     return smaller.rows if known else estimator.linearise(smaller.model, at, smaller.names)
 
 
+def held_out_errors(
+    smaller: Fitted, larger: Fitted, estimator: Estimator, groups: IntArray
+) -> tuple[PredictionErrors, PredictionErrors]:
+    """Of the smaller and of the larger model on groups not used, in the noise of the larger: initial states are estimated by it, and two
+    noises would make two predictions of one model."""
+    rows = rows_in_noise_of(larger, smaller, estimator)
+    before = PredictionErrors(rows, held_out(rows, smaller.names, groups, smaller.margins))
+    return before, PredictionErrors(larger.rows, held_out(larger.rows, larger.names, groups, larger.margins))
+
+
 def cross_validations(
     larger: Fitted, smaller: Fitted, estimator: Estimator, groups: IntArray, floor: NoiseFloor
 ) -> tuple[CrossValidation, CrossValidation]:
@@ -231,7 +237,7 @@ def evidence_of(
     change = change_by_stratum(after.rows, before.rows)
     intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
     if not intervals:  # of too few groups: the falls themselves
-        falls = held_out_falls(without.held_out(groups), fitted.held_out(groups), groups)
+        falls = held_out_falls(*held_out_errors(without, fitted, estimator, groups), groups)
         intervals = {name: (fall, fall) for name, fall in falls.items() if name not in aside}
     return Evidence(
         term=term.id,
@@ -248,12 +254,12 @@ def evidence_of(
     )
 
 
-def predicts_no_more(base: Fitted, now: Fitted, groups: IntArray, floor: NoiseFloor) -> str:
+def predicts_no_more(base: Fitted, now: Fitted, estimator: Estimator, groups: IntArray, floor: NoiseFloor) -> str:
     """Why a model with all that was named is no better than the base, empty where its errors in what was not used, each response predicted
     by its initial state alone, are surely smaller: geometric mean over the channels that one of the two misses by more than the noise
     floor (the likelihood with each channel's variance unknown) and that the two predict differently in some group, since others say
     nothing of the names. Empty, too, where that is so in fewer groups than such an interval takes: each term was tested by itself."""
-    before, after = base.held_out(groups), now.held_out(groups)
+    before, after = held_out_errors(base, now, estimator, groups)
     differing = moved(before, after, groups, floor, LEAST_FLOORS)
     if 0 < np.any(list(differing.values()), axis=0).sum() < FEWEST_GROUPS:
         return ""

@@ -173,7 +173,7 @@ class Search:
         others may explain disturbances and not the flight."""
         if not self.evidence or self.base is None or self.now is None or self.floor is None:
             return
-        if not (why := predicts_no_more(self.base, self.now, self.groups, self.floor)):
+        if not (why := predicts_no_more(self.base, self.now, self.estimator, self.groups, self.floor)):
             return
         self.rejected |= {t: replace(e, withdrawn=why) for t, e in self.evidence.items()}
         self.now, self.evidence = self.base, {}
