@@ -10,6 +10,8 @@ from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
 from flighttest.diagnose.selection.comparison import Fitted
 from flighttest.diagnose.selection.fitted_models import FittedModels
 from flighttest.diagnose.selection.search import Search
+from flighttest.estimation.linearisation import Optimum
+from flighttest.estimation.problem import Noise
 
 
 @pytest.fixture
@@ -22,7 +24,7 @@ def judged(monkeypatch):
             Fitted(
                 SimpleNamespace(terms=()),
                 (),
-                SimpleNamespace(objective=1.0, values={}),
+                Optimum({}, {}, Noise({"f_z_m_s2": 1.0}, {}), 1.0),
                 rows_of(one, np.zeros((1000, 0)), channel=channel),
             )
             for one in (before, after)
