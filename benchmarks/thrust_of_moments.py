@@ -21,13 +21,13 @@ from flighttest.identify.free_flight.estimate import determined
 from flighttest.identify.free_flight.winds import WIND_TERM, in_still_air
 from flighttest.physics.blocks import VELOCITY
 from flighttest.physics.catalogue import catalogue
+from flighttest.physics.terms.moments import LEAST_THRUST
 from flighttest.pipeline.recordings.sources import Reading, open_recordings
 from flighttest.segments import Segment, cut
 
 POWERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 WINDS = ("nowind", "35wind", "70wind")
 COLUMNS = Path(__file__).parents[1] / "examples" / "columns" / "neural_fly.yaml"
-LEAST = 0.01  # of the thrust of hover
 TRIMS_1_S = (0.0, 0.1, 1.0)  # local optima begin there
 MOMENTS, SHAPING = "airflow_moment", "reference_shaping"
 
@@ -44,7 +44,7 @@ def with_power(segments: tuple[Segment, ...], power: float) -> tuple[Segment, ..
     """The same with velocities that give moments by that power of the thrust."""
     made = []
     for s in segments:
-        factor = np.maximum(relative_thrust(s), LEAST) ** (power - 0.5)
+        factor = np.maximum(relative_thrust(s), LEAST_THRUST) ** (power - 0.5)
         made.append(replace(s, y={**s.y, **{n: s.y[n] * factor for n in VELOCITY}}))
     return in_still_air(made, ())  # what is trimmed, anew
 

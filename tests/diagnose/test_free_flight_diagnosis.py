@@ -66,6 +66,11 @@ def test_what_every_flight_shows_in_another_size_is_there_and_its_value_is_uncer
     assert found.final.std["offset_pitch"] > 0.7 * np.std(offsets, ddof=1) / np.sqrt(3.0)
 
 
+def test_of_several_flights_that_lack_nothing_nothing_is_named():
+    flown = [w for k in range(3) for w in flight(40.0, 40 + k, gust=0.5, run=f"calm {k}")]
+    assert not find_terms(stretches(flown), ALONE, POOL).named
+
+
 @pytest.mark.parametrize("rule", ["outside_prior", "against_larger"])
 def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monkeypatch, rule):
     """A load of -27 % of the mass was named on a tail-sitter, 71 nats better, with errors of 1.3 and 2.8 times the base model's."""

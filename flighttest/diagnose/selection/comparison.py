@@ -184,9 +184,12 @@ def held_out_errors(
 ) -> tuple[PredictionErrors, PredictionErrors]:
     """Of the smaller and of the larger model on groups not used, in the noise of the larger: initial states are estimated by it, and two
     noises would make two predictions of one model."""
-    rows = rows_in_noise_of(larger, smaller, estimator)
-    before = PredictionErrors(rows, held_out(rows, smaller.names, groups, smaller.margins))
-    return before, PredictionErrors(larger.rows, held_out(larger.rows, larger.names, groups, larger.margins))
+
+    def of(fitted: Fitted, rows: Linearisation) -> PredictionErrors:
+        return PredictionErrors(rows, held_out(rows, fitted.names, groups, fitted.margins))
+
+    after = of(larger, larger.rows)
+    return after if larger is smaller else of(smaller, rows_in_noise_of(larger, smaller, estimator)), after
 
 
 def cross_validations(

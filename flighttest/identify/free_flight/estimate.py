@@ -87,18 +87,19 @@ class FreeFlight:
     """What free flight shows of one part of the model: its translation, or its attitude loops.
 
     values: parameters by name, those of one flight as `name@flight`; std: standard errors of the estimated ones, robust over 1 to 5 s;
-    covariance (q, q) in the order of `names`; noise: per channel the spectrum of what is left; rms: per channel of the residual, SI units;
-    seconds: of flight used; priors: names whose error is mostly the prior's; spread: by name of a shared parameter, the standard deviation
-    by which flights differ in it beyond their errors; between (q, q): what that adds, in `covariance` already; inflation: median ratio of
-    the robust variances to those of the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham
-    and Anderson 2002, section 2.5); blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between
-    the samples of the residual.
+    covariance (q, q) in the order of `names`; between (q, q): what of it flights differ by; noise: spectrum of what is left, per channel;
+    rms: per channel of the residual, SI units; seconds: of flight used; priors: names whose error is mostly the prior's; spread: by name of
+    a shared parameter, the standard deviation by which flights differ in it beyond their errors; inflation: median ratio of the robust
+    variances to those of the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson
+    2002, section 2.5); blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between the samples
+    of the residual.
     """
 
     model: Model
     names: tuple[str, ...]
     values: Mapping[str, float]
     covariance: FloatArray
+    between: FloatArray
     noise: Mapping[str, Autoregression]
     rms: Mapping[str, float]
     seconds: float
@@ -112,7 +113,6 @@ class FreeFlight:
     spread: Mapping[str, float] = field(default_factory=dict)
     inflation: float = 1.0
     blocks: int = 0
-    between: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def held(self) -> HeldEstimate:
@@ -356,13 +356,13 @@ class _PredictionErrors:
         channels = dict.fromkeys(s.channel for s in at.streams)
         every = {c: np.concatenate([s.residual for s in at.streams if s.channel == c]) for c in channels}
         return FreeFlight(
-            self.asked.model, self.columns, self.values(at.theta), covariance, self.noise,
+            self.asked.model, self.columns, self.values(at.theta), covariance, extra, self.noise,
             {c: float(np.sqrt(np.mean(r**2))) for c, r in every.items()},
             float(sum(s.t_s[-1] - s.t_s[0] for s in self.equations.flown)), self.equations.flights, minimum.iterations,
             minimum.status.good, self.log_likelihood(self.cost(at)), self.asked.part,
             self.equations.period_s, leaning,
             {c: float(v) for c, v in zip(self.columns, spread, strict=True) if v > 0.0},
-            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1, extra,
+            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1,
         )  # fmt: skip
 
 

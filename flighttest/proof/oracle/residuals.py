@@ -140,14 +140,15 @@ def left(
         (YawLoop(),),
         (Translation(nominal_voltage_v),),
     ):
-        fed = [s for s in usable if feeds(s, forms[0])]
+        kind = forms[0]  # its forms have the same name, channels and inputs
+        fed = [s for s in usable if feeds(s, kind)]
         if not fed:
             continue
         data = OracleResponses(fed)
-        std = np.array([noise.std[c] for c in forms[0].channels])
-        whiten = data.mask[:, :, None] * np.stack([data.recorded(c) for c in forms[0].channels], axis=1)[:, None] / std
-        spread = noise.disturbance.get(forms[0].name, FIRST_DISTURBANCE[forms[0].name])
-        known = None if near is None else near.parameters.get(forms[0].name)
+        std = np.array([noise.std[c] for c in kind.channels])
+        whiten = data.mask[:, :, None] * np.stack([data.recorded(c) for c in kind.channels], axis=1)[:, None] / std
+        spread = noise.disturbance.get(kind.name, FIRST_DISTURBANCE[kind.name])
+        known = None if near is None else near.parameters.get(kind.name)
         fits = [(block, _fitted(block, data, whiten, spread, known)) for block in forms]
         block, fitted = min(fits, key=lambda fit: float(fit[1].cost))
         parameters[block.name] = np.where(fitted.active_mask == 0, fitted.x, np.nan)
