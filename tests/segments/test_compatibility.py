@@ -142,6 +142,14 @@ def test_a_latency_of_any_size_is_found_to_a_millisecond_or_so(late_s, tilt):
     assert before > 3.0 * after
 
 
+@pytest.mark.parametrize("late_s", [0.05, 0.12, 0.2])
+def test_a_latency_is_found_as_far_as_the_stamp_of_the_force_is_known(late_s):
+    """Hardly tilting: whole steps of the iteration went to and fro, and a third to a half of the latency was reported, +- 0.2 ms."""
+    found = compatibility(flight(late_s, 0.004, tilt=0.002), FLOWN, CUTOFF_HZ)
+    assert abs(found.velocity_late_s - late_s) < 1.2 * PRIOR_S
+    assert found.velocity_late_std_s > 0.5 * PRIOR_S
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.1])
 def test_a_bias_of_the_accelerometer_is_found_in_its_own_axes(late_s):
     """Beside the trend that this velocity has anyway, and with the velocity at its time."""
