@@ -1,4 +1,4 @@
-"""Autocorrelation of residuals: how many samples of a velocity estimate count as one."""
+"""Autocorrelation of residuals, and how many samples of a velocity estimate count as one."""
 
 from __future__ import annotations
 
@@ -18,6 +18,15 @@ def lagged_products(values: FloatArray) -> FloatArray:
     length = values.shape[1]
     spectrum = np.abs(np.fft.rfft(values, 2 * length, axis=1)) ** 2
     return np.asarray(np.fft.irfft(spectrum.sum(axis=0), 2 * length)[:length])
+
+
+def autocorrelation(values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+    """(n,) of (m, n) values within rows, where mask is, by lag in samples: one at lag 0; of uncorrelated ones where there is nothing."""
+    pairs = np.round(lagged_products(mask.astype(float)))
+    product = np.where(pairs > 0, lagged_products(np.where(mask, values, 0.0)) / np.maximum(pairs, 1.0), 0.0)
+    if not product[0] > 0.0:
+        return np.asarray(np.eye(1, mask.shape[1])[0])
+    return np.asarray(np.clip(product / product[0], -1.0, 1.0))
 
 
 def correlations(part: Part, made: PartEvaluation) -> dict[str, float]:

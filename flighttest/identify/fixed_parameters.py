@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.estimation.likelihood_weights import LikelihoodWeights, Normal, State, start_noise
-from flighttest.estimation.problem import Noise, PartEvaluation, Problem
+from flighttest.estimation.problem import Noise, Problem
+from flighttest.estimation.uncertainty.colored_residuals import ColoredResiduals, colored_residuals
 from flighttest.identify.models.model_blocks import NoiseBlock
 
 FloatArray = NDArray[np.float64]
@@ -20,15 +21,18 @@ class AtFixedParameters:
     """Normal equations at given parameters, noise and locals, what they are made of, and how the locals follow the parameters."""
 
     normal: Normal
-    made: tuple[PartEvaluation, ...]
-    noise: Noise
-    local: tuple[FloatArray, ...]
+    weighing: LikelihoodWeights
+    at: State
     backs: tuple[tuple[FloatArray, FloatArray], ...]
 
     def after(self, step: FloatArray) -> tuple[FloatArray, ...]:
         """Locals for parameters moved by `step`, (p,)."""
-        pairs = zip(self.local, self.backs, strict=True)
+        pairs = zip(self.at.local, self.backs, strict=True)
         return tuple(x + back_g - np.einsum("mlp,p->ml", back_h, step) for x, (back_g, back_h) in pairs)
+
+    def colored(self, names: Sequence[str]) -> ColoredResiduals:
+        """What the correlation of the residuals in time makes of the variances of estimates of some of the parameters."""
+        return colored_residuals(self.weighing, self.at, self.normal, names)
 
 
 def normal_at(
@@ -43,8 +47,9 @@ def normal_at(
     noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance}, noise.correlation)
     at = State(np.zeros(0), [part.start_local() for part in problem.parts] if local is None else list(local), [])
     at.made = problem.evaluate(values, at.local, free)
-    normal, backs = LikelihoodWeights.even(problem, noise, robust=True).by_response(at.made).normal_equations(at, free)
-    return AtFixedParameters(normal, tuple(at.made), noise, tuple(at.local), tuple(backs))
+    weighing = LikelihoodWeights.even(problem, noise, robust=True).by_response(at.made)
+    normal, backs = weighing.normal_equations(at, free)
+    return AtFixedParameters(normal, weighing, at, tuple(backs))
 
 
 def stored_noise(stored: NoiseBlock, problem: Problem) -> Noise | None:

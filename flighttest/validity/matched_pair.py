@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ import numpy as np
 from flighttest.documents import PlainData
 from flighttest.estimation.likelihood_weights import Normal
 from flighttest.estimation.problem import Noise, Problem
-from flighttest.estimation.uncertainty.covariance import cluster_covariance, variance_inflation_of
-from flighttest.identify.fixed_parameters import normal_at
+from flighttest.estimation.uncertainty.covariance import cluster_covariance
+from flighttest.identify.fixed_parameters import AtFixedParameters, normal_at
 from flighttest.identify.models.model_blocks import StepsBlock
 from flighttest.segments import Segment
 from flighttest.segments.commands import held_until_s
@@ -150,8 +151,7 @@ def compare_matched(
     held = normal_at(problem, values, names, noise)
     # The responses' own initial states first: the parameters answer to what they leave.
     held = normal_at(problem, values, names, noise, held.after(np.zeros(len(names))))
-    inflation = variance_inflation_of(problem, held.made, held.noise)
-    names = _determined(_differences(held.normal, pairs), values, inflation)
+    names = _determined(_differences(held.normal, pairs), values, held)
     if not names:
         return None
     param, now = problem.model.param, dict(values)
@@ -168,7 +168,7 @@ def compare_matched(
             now[n] = target
         held = normal_at(problem, now, held.normal.names, noise, held.after(taken))
     moved = _only(_differences(held.normal, pairs), names)
-    spread = cluster_covariance(moved, moved.names, variance_inflation_of(problem, held.made, held.noise))
+    spread = cluster_covariance(moved, moved.names, partial(held.colored, moved.names))
     # What has not settled by now, or hangs at a bound, was not determined after all.
     rest = np.abs(_inverse(moved.hessian.sum(axis=0)) @ moved.score.sum(axis=0))
     settled = {
@@ -242,13 +242,14 @@ def _only(normal: Normal, names: Sequence[str]) -> Normal:
     return Normal(tuple(names), normal.hessian[:, pick][:, :, pick], normal.score[:, pick])
 
 
-def _determined(moved: Normal, values: Mapping[str, float], inflation: float) -> list[str]:
+def _determined(moved: Normal, values: Mapping[str, float], held: AtFixedParameters) -> list[str]:
     """Parameters that enough kinds of step determine, and agree on."""
     diagonal = np.einsum("sii->si", moved.hessian)
     share = diagonal / np.maximum(diagonal.sum(axis=0), 1e-300)
     names = [n for i, n in enumerate(moved.names) if int((share[:, i] > MIN_SHARE).sum()) >= MIN_STEPS]
     while names:
-        error = np.sqrt(np.diag(cluster_covariance(moved, tuple(names), inflation).matrix))
+        spread = cluster_covariance(moved, tuple(names), partial(held.colored, tuple(names)))
+        error = np.sqrt(np.diag(spread.matrix))
         vague = error / np.array([_size(n, values) for n in names])
         worst = int(np.argmax(vague))
         if vague[worst] <= VAGUE:

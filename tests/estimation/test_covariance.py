@@ -1,18 +1,16 @@
 """Cluster-robust covariance against textbook formulas, and against repeated draws."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from flighttest.estimation.likelihood_weights import Normal
+from flighttest.estimation.uncertainty.colored_residuals import ColoredResiduals
 from flighttest.estimation.uncertainty.covariance import (
     clock_std_s,
     cluster_covariance,
     interval_factor,
-    variance_inflation,
-    variance_inflation_of,
     with_clock_error,
 )
 from flighttest.identify.diagnostics.bootstrap import bootstrap_std
@@ -65,34 +63,21 @@ def test_intervals_cover_with_few_clusters_and_a_shared_disturbance():
     assert hits["white"] / trials < 0.7
 
 
-def test_a_single_cluster_falls_back_on_the_inflated_model():
-    normal = Normal(("a",), np.array([[[4.0]]]), np.array([[0.0]]))
-    covariance = cluster_covariance(normal, ("a",), inflation=9.0)
-    assert covariance.matrix[0, 0] == pytest.approx(9.0 / 4.0)
+def test_few_clusters_fall_back_on_the_correlation_in_time():
+    normal = Normal(("a", "b"), np.array([np.eye(2) * 4.0]), np.zeros((1, 2)))
+    colored = ColoredResiduals(np.array([9.0, 4.0]), np.array([30.0, 7.0]))
+    covariance = cluster_covariance(normal, ("a", "b"), lambda: colored)
+    assert np.allclose(covariance.matrix, np.diag([9.0, 4.0]) / 4.0)
+    assert covariance.dof.tolist() == [30.0, 7.0]
+    assert cluster_covariance(normal, ("a", "b")).matrix == pytest.approx(np.eye(2) / 4.0)
 
 
-def test_variance_inflation_of_an_autoregressive_residual():
-    rng = np.random.default_rng(3)
-    e = np.zeros(20000)
-    for k in range(1, e.size):
-        e[k] = 0.8 * e[k - 1] + rng.standard_normal()
-    assert variance_inflation([e]) == pytest.approx(9.0, rel=0.1)
-    assert variance_inflation([rng.standard_normal(20000)]) < 1.1
+def test_many_clusters_need_no_correlation_in_time():
+    def unasked():
+        raise AssertionError
 
-
-def test_samples_that_are_missing_do_not_hide_correlation():
-    e = np.zeros((1, 4000, 1))
-    e[0, ::2, 0] = np.repeat(np.random.default_rng(3).standard_normal(200), 10)
-    part = SimpleNamespace(outputs=("v_x_m_s",), responses=(0,), mask=e != 0.0)
-    problem, noise = SimpleNamespace(parts=[part]), SimpleNamespace(channel={"v_x_m_s": 1.0}, correlation={})
-    found = variance_inflation_of(problem, [SimpleNamespace(residual=e)], noise)
-    assert found == pytest.approx(19.0, rel=0.2), "ten alike in a row: rho is 0.9"
-    noise.correlation = {"v_y_m_s": 19.0, "v_x_m_s": 1.0}
-    assert variance_inflation_of(problem, [SimpleNamespace(residual=e)], noise) == found, (
-        "what counts alike is correlated still"
-    )
-    noise.correlation = {"v_x_m_s": 19.0}
-    assert variance_inflation_of(problem, [SimpleNamespace(residual=e)], noise) == 1.0, "its weights contain it"
+    normal, _, _, _ = linear(np.random.default_rng(4), 12, 6, 1.0)
+    assert cluster_covariance(normal, ("a", "b"), unasked).dof.min() > 2.5
 
 
 def test_a_clock_error_widens_all_delays_alike_and_nothing_else(found):

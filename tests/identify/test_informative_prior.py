@@ -24,8 +24,8 @@ def test_what_a_yaw_flight_does_not_tell_stays_as_it_was(found, flown, tmp_path)
         assert kept.value == pytest.approx(known.value, rel=1e-6)
         assert kept.std == pytest.approx(known.std, rel=1e-5)
         assert kept.identifiable
-    a, b = (stored.order.index(n) for n in ("d_x", "d_z"))
-    c, d = (base.order.index(n) for n in ("d_x", "d_z"))
+    a, b = (stored.order.index(n) for n in ("d_x", "d_y"))
+    c, d = (base.order.index(n) for n in ("d_x", "d_y"))
     assert stored.covariance[a, b] == pytest.approx(base.covariance[c, d], rel=1e-4)
     assert stored.parameters["sigma_r"].value == pytest.approx(short.estimates["sigma_r"].value, rel=1e-6)
     delays = [stored.parameters[n].value for n in ("T_d_attitude", "T_d_yaw_rate", "T_d_thrust")]

@@ -7,15 +7,16 @@ true error for alpha when each response carries its own disturbance.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.likelihood_weights import Normal
-from flighttest.estimation.problem import Noise, PartEvaluation, Problem
+from flighttest.estimation.likelihood_weights import LikelihoodWeights, Normal, State
+from flighttest.estimation.problem import Problem
 from flighttest.estimation.solver import Solution
+from flighttest.estimation.uncertainty.colored_residuals import ColoredResiduals, colored_residuals
 from flighttest.estimation.uncertainty.discrepancy import discrepancy_covariance
 from flighttest.estimation.uncertainty.distributions import quantile
 
@@ -56,10 +57,13 @@ def interval_factor(dof: float, level: float = 0.95) -> float:
     return quantile(0.5 + level / 2, max(dof, 1.0))
 
 
-def cluster_covariance(normal: Normal, active: tuple[str, ...], inflation: float = 1.0) -> Covariance:
+def cluster_covariance(
+    normal: Normal, active: tuple[str, ...], colored: Callable[[], ColoredResiduals] | None = None
+) -> Covariance:
     """Covariance of the `active` names (the others held).
 
-    inflation: variance factor for autocorrelated residuals, used only where there are too few clusters.
+    colored: what the correlation of residuals in time makes of the same names' variances, asked for and in the place of the scatter
+    between clusters where too few of them determine a parameter. None: there the larger of that scatter and of the noise model.
     """
     pick = np.array([normal.names.index(n) for n in active], dtype=np.intp)
     if not pick.size:
@@ -85,12 +89,12 @@ def cluster_covariance(normal: Normal, active: tuple[str, ...], inflation: float
     dof = np.array([_dof(leverage, blow, root[i]) for i in range(pick.size)])
     few = dof < MIN_DOF
     if few.any():
-        std = np.sqrt(np.where(few, np.maximum(np.diag(model) * inflation, np.diag(robust)), np.diag(robust)))
-        now = np.sqrt(np.diag(robust))
-        ratio = np.where(now > 0, std / np.where(now > 0, now, 1.0), 1.0)
-        robust = robust * np.outer(ratio, ratio)
-        robust[np.diag_indices_from(robust)] = std**2
-        dof = np.where(few, 10.0, dof)
+        white, between = np.sqrt(np.diag(model)), np.sqrt(np.diag(robust))
+        in_time = colored() if colored is not None else None
+        otherwise = np.maximum(white, between) if in_time is None else white * np.sqrt(in_time.inflation)
+        ratio = np.where(few, otherwise, between) / white
+        robust = model * np.outer(ratio, ratio)
+        dof = np.where(few, 10.0 if in_time is None else in_time.dof, dof)
     return Covariance(active, robust, model, dof)
 
 
@@ -103,27 +107,6 @@ def _dof(leverage: FloatArray, blow: FloatArray, direction: FloatArray) -> float
     return float(np.trace(omega)) ** 2 / squares if squares > 0 else 1.0
 
 
-def variance_inflation(residuals: list[FloatArray]) -> float:
-    """Variance factor of a mean for first-order autocorrelated residuals: (1 + rho) / (1 - rho), at least one."""
-    top = sum(float(r[1:] @ r[:-1]) for r in residuals if r.size > 3)
-    bottom = sum(float(r @ r) for r in residuals if r.size > 3)
-    rho = min(max(top / bottom, 0.0), 0.98) if bottom > 0 else 0.0
-    return (1 + rho) / (1 - rho)
-
-
-def variance_inflation_of(problem: Problem, evaluations: Sequence[PartEvaluation], noise: Noise) -> float:
-    """`variance_inflation` of the residuals of a problem, but of channels whose weights contain their correlation."""
-    return variance_inflation(
-        [
-            made.residual[j, part.mask[j, :, k], k] / noise.channel[c]
-            for part, made in zip(problem.parts, evaluations, strict=True)
-            for k, c in enumerate(part.outputs)
-            if noise.correlation.get(c, 1.0) == 1.0
-            for j in range(len(part.responses))
-        ]
-    )
-
-
 def covariance_of(problem: Problem, solution: Solution) -> Covariance:
     """As of `scatter_of`, with the discrepancy, which takes a pass over all samples."""
     found = scatter_of(problem, solution)
@@ -134,8 +117,10 @@ def scatter_of(problem: Problem, solution: Solution) -> Covariance:
     """Cluster-robust covariance of the free parameters that have an effect and are not at a bound; clusters are cells, since an equation
     that is nearly right errs alike in all repeats of one (Cameron & Miller 2015: cluster as widely as errors may be correlated)."""
     active = tuple(n for n in solution.free if n not in solution.insensitive and n not in solution.at_bound)
+    at = State(np.zeros(0), list(solution.local), list(solution.evaluations))
+    weighing = LikelihoodWeights(problem, solution.noise, solution.response_weight, robust=True)
     covariance = cluster_covariance(
-        solution.normal.by(problem.cells), active, variance_inflation_of(problem, solution.evaluations, solution.noise)
+        solution.normal.by(problem.cells), active, lambda: colored_residuals(weighing, at, solution.normal, active)
     )
     return with_clock_error(covariance, clock_std_s(problem))
 
