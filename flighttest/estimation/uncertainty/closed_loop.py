@@ -4,8 +4,12 @@ Free flight is flown by somebody: a pilot or a position loop answers gusts, so t
 
 Output error takes for granted that they are not, as they are not in steps that a script sent. Where they are, the estimate has turned what
 was disturbance into parameters, and its standard error does not contain it. What is left of each response shows how much: it is orthogonal
-to the sensitivities, but not to those of a little later, if the later commands answer it. The score with responses moved by such a lead,
-in units of the parameters, is what the unmoved one has been brought to zero with.
+to the sensitivities, but not to those of a little later, if the later commands answer it. As far as a disturbance lasts until its answer,
+it is in the estimate:
+
+    bias = max over leads l of | H^-1 sum_k rho_k(l) sum_t J_k(t + l)' r_k(t) |
+
+with the whitened residual r_k of each output, its autocorrelation rho_k and sensitivities J_k, each response's own unknowns profiled out.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.autocorrelation import autocorrelation
 from flighttest.estimation.likelihood_weights import regular, sample_weights
 from flighttest.estimation.problem import Part, PartEvaluation, Problem, prior_std
 from flighttest.estimation.solver import Solution
@@ -20,8 +25,8 @@ from flighttest.estimation.solver import Solution
 FloatArray = NDArray[np.float64]
 
 LEADS_S = (0.05, 0.1, 0.2, 0.4)  # from a quick height loop to a slow position loop
-# The answer comes later than what it answers, which is partly over by then: of 48 flights of a known vehicle, calm and in gusts, under a
-# soft and a tight position loop, errors were up to twice as large as the leads had shown.
+# `python -m benchmarks.closed_loop --seeds 20 --first 31`: of 800 95 % intervals of known vehicles, calm and in gusts, 92, 93, 95, 96 and
+# 97 % hold the truth with 0 to 4 times of it; in the strongest gusts under a position loop 65, 69, 79, 82 and 87.
 ALLOWED = 2.0
 FEW_WINDOWS = 3
 
@@ -46,7 +51,8 @@ def closed_loop_bias(problem: Problem, solution: Solution) -> dict[str, float]:
 
 
 def _scores(part: Part, made: PartEvaluation, rows: list[int], solution: Solution) -> FloatArray:
-    """(n_leads, n_parameters) of some responses of a part, sensitivities moved ahead of the residuals, the locals projected out."""
+    """(n_leads, n_parameters) of some responses of a part, sensitivities moved ahead of the residuals, the locals projected out; of each
+    output as far as its residual lasts."""
     std = np.array([solution.noise.channel[c] for c in part.outputs])
     n_p = len(made.columns) - len(part.locals)
     weight = np.sqrt(sample_weights(made.residual[rows], std, True) * part.mask[rows])
@@ -58,6 +64,8 @@ def _scores(part: Part, made: PartEvaluation, rows: list[int], solution: Solutio
     cross = np.einsum("mncl,mncp->mlp", local, jacobian[..., :n_p])
     own = jacobian[..., :n_p] - np.einsum("mncl,mlp->mncp", local, np.linalg.solve(regular(gram), cross))
     left = made.residual[rows] * weight
+    mask = part.mask[rows]
+    rho = np.stack([autocorrelation(left[..., k], mask[..., k]) for k in range(left.shape[2])], axis=1)
     found = np.zeros((len(LEADS_S), n_p))
     for at, j in enumerate(rows):
         response = part.responses[j]
@@ -66,6 +74,6 @@ def _scores(part: Part, made: PartEvaluation, rows: list[int], solution: Solutio
         for k, lead_s in enumerate(LEADS_S):
             ahead = max(round(lead_s / period), 1)
             if ahead < n:
-                share = solution.response_weight[response.index]
-                found[k] += share * np.einsum("ncp,nc->p", own[at, ahead:n], left[at, : n - ahead])
+                share = solution.response_weight[response.index] * np.maximum(rho[ahead], 0.0)
+                found[k] += np.einsum("ncp,nc,c->p", own[at, ahead:n], left[at, : n - ahead], share)
     return found
