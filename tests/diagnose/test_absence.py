@@ -39,6 +39,30 @@ def test_absence_is_excluded_by_the_likelihood_ratio_over_the_inflation_of_the_p
     assert "nan" not in absent
 
 
+@pytest.mark.parametrize(("worth", "said"), [({"arm_x": 600.0}, False), ({}, True), ({"arm_x": 10.0}, True)])
+def test_one_certain_coefficient_is_enough(worth, said):
+    """Arms of -0.075 +- 0.006 and -0.05 +- 0.09 m had p 0.002 together, since the second makes the likelihood ratio uncertain."""
+    names = ("arm_x", "arm_y", "arm_z")
+    of_noise, values = np.eye(3) * 1e-6, {"arm_x": -0.075, "arm_y": 0.05, "arm_z": -0.05}
+    known = Covariance(names, np.diag([9e-6, 9e-6, 2e-3]), of_noise, np.full(3, 12.0))
+    asked = []
+
+    def fit(_model, start, free, *, noise):
+        (gone,) = {*names} - {*free}
+        assert (start[gone], noise) == (0.0, False)
+        asked.append(gone)
+        return Optimum(start, {}, NOISE, 100.0 + worth.get(gone, 0.0))
+
+    estimator = SimpleNamespace(covariance=lambda *_: known, moved=lambda _m, at, to: {**at.values, **to}, fit=fit)
+    term = catalogue()["imu_lever_arm"]
+    fitted = Fitted(Model((term.id,)), names, Optimum(values, {}, NOISE, 100.0), None)
+    assert bool(may_be_absent(term, fitted, 20000.0, estimator, 22)) is said
+    assert asked == (["arm_x", "arm_y", "arm_z"] if said else ["arm_x"])
+    asked.clear()
+    assert not may_be_absent(term, fitted, 200000.0, estimator, 22)
+    assert not asked, "together they are certain"
+
+
 def test_a_term_of_which_nothing_is_determined_may_be_absent():
     nothing = Covariance((), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
     term = catalogue()["thrust_fade"]
