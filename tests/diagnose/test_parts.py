@@ -45,7 +45,7 @@ def test_held_out_residuals_are_those_of_fits_without_the_fold(rng):
     theta = np.linalg.lstsq(columns, y, rcond=None)[0]
     rows = rows_of(y - columns @ theta, columns, segments=20)
     groups = np.arange(20) // 4
-    found = held_out(rows, ("p0", "p1"), groups, Margins(np.full(2, -np.inf), np.full(2, np.inf)))
+    found = held_out(rows, ("p0", "p1"), groups, Margins(np.full(2, -np.inf), np.full(2, np.inf), np.full(2, 1e3)))
     for fold in range(5):
         inside = (groups % 5)[rows.segment] == fold
         refit = np.linalg.lstsq(columns[~inside], y[~inside], rcond=None)[0]
@@ -61,8 +61,8 @@ def test_parameters_without_a_fold_stay_inside_their_bounds(rng):
     first = (groups % 5)[rows.segment] == 0
     columns[~first, 1] = 1e-4 * rng.normal(size=int(np.sum(~first)))
     rows = rows_of(rng.normal(size=n), columns, segments=20)
-    free = held_out(rows, ("p0", "p1"), groups, Margins(np.full(2, -np.inf), np.full(2, np.inf)))
-    bounded = held_out(rows, ("p0", "p1"), groups, Margins(np.full(2, -0.5), np.full(2, 0.5)))
+    free = held_out(rows, ("p0", "p1"), groups, Margins(np.full(2, -np.inf), np.full(2, np.inf), np.full(2, 1e3)))
+    bounded = held_out(rows, ("p0", "p1"), groups, Margins(np.full(2, -0.5), np.full(2, 0.5), np.full(2, 1e3)))
     assert np.sqrt(np.mean(free[first] ** 2)) > 20.0
     assert np.sqrt(np.mean(bounded[first] ** 2)) < 1.5
     np.testing.assert_allclose(bounded[~first], free[~first], atol=1e-6)

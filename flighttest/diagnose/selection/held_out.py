@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
+from flighttest.diagnose.selection.candidates import PRIOR_SIZES, usual_size
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.identify.validation.validate import HORIZONS_S
 from flighttest.physics.core import Param
@@ -20,7 +21,7 @@ IntArray = NDArray[np.intp]
 
 FOLDS = 5
 BOOTSTRAPS = 400
-RIDGE = 1e-9  # of unit columns: what a fold's training data do not determine stays where it is
+RIDGE = 1e-9  # of unit columns: rounding
 FEWEST_GROUPS = 6  # that a test at 2.5 % may be over: all of n alike have probability 2^-n by chance (sign test)
 LEAST_ROWS = 60  # samples a place (channel and kind of maneuver) needs before its RMS means something
 
@@ -56,37 +57,44 @@ def folds_of(groups: IntArray) -> IntArray:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far parameters may move from an optimum before they reach their bounds: least (p,) <= 0, most (p,) >= 0, in their own units."""
+    """What is known of parameters before any data, from their optimum, in their own units: least (p,) <= 0 and most (p,) >= 0, how far they
+    may move before they reach their bounds; std (p,) of a normal prior, which counts where a fold's training data do not."""
 
     least: FloatArray
     most: FloatArray
+    std: FloatArray
 
     @classmethod
     def of(cls, params: Sequence[Param], values: Mapping[str, float]) -> Margins:
         """params: those that are estimated, in the order of the columns."""
         least = np.array([min(p.lower - values[p.name], 0.0) for p in params])
-        return cls(least, np.array([max(p.upper - values[p.name], 0.0) for p in params]))
+        most = np.array([max(p.upper - values[p.name], 0.0) for p in params])
+        return cls(least, most, np.array([PRIOR_SIZES * max(abs(usual_size(p)), 1e-12) for p in params]))
 
-    def without_each_fold(
-        self, columns: FloatArray, residual: FloatArray, fold_of_row: IntArray
-    ) -> Iterator[tuple[NDArray[np.bool_], FloatArray]]:
-        """(rows of a fold (n,), step (p,) that the parameters take from the optimum by the rows of all others), fold by fold.
+    def without_each_fold(self, columns: FloatArray, residual: FloatArray, fold_of_row: IntArray) -> Iterator[Fold]:
+        """What the rows of all other folds say of the parameters, fold by fold.
 
-        columns (n, p), residual (n,): whitened. Least squares inside the bounds, as every estimate is: without them a fold that leaves a
-        parameter undetermined predicted errors of 1e7 nats, whatever the term.
+        columns (n, p), residual (n,): whitened. Least squares inside the bounds, as every estimate is.
         """
-        length = np.sqrt(np.sum(columns**2, axis=0))
-        used = length > 0
-        a, length = columns[:, used] / length[used], length[used]
-        least, most = self.least[used] * length, self.most[used] * length
+        length = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-150)
+        a, least, most = columns / length, self.least * length, self.most * length
+        prior = np.diag(1.0 / (self.std * length) ** 2)
         gram, moment = a.T @ a, a.T @ residual
         for fold in np.unique(fold_of_row):
             inside = fold_of_row == fold
             own = a[inside]
-            h = gram - own.T @ own + RIDGE * np.eye(gram.shape[0])
-            step = np.zeros(columns.shape[1])
-            step[used] = _bounded(h, moment - own.T @ residual[inside], least, most) / length
-            yield inside, step
+            h = gram - own.T @ own + prior + RIDGE * np.eye(gram.shape[0])
+            step = _bounded(h, moment - own.T @ residual[inside], least, most)
+            yield Fold(inside, step / length, np.linalg.inv(h) / np.outer(length, length))
+
+
+@dataclass(frozen=True)
+class Fold:
+    """inside: its rows (n,); step (p,) of the parameters from the optimum by the rows of all other folds, covariance (p, p) of it."""
+
+    inside: NDArray[np.bool_]
+    step: FloatArray
+    covariance: FloatArray
 
 
 def _bounded(h: FloatArray, g: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
@@ -107,25 +115,45 @@ def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray, margin
     """
     fold_of_row, unprofiled = folds_of(groups)[rows.segment], rows.unprofiled_columns(names)
     out = rows.unprofiled_residual.copy()
-    for inside, step in margins.without_each_fold(rows.columns(names), rows.residual, fold_of_row):
-        out[inside] -= unprofiled[inside] @ step
+    for fold in margins.without_each_fold(rows.columns(names), rows.residual, fold_of_row):
+        out[fold.inside] -= unprofiled[fold.inside] @ fold.step
     return out
 
 
 def cross_validated(
     rows: Linearisation, names: Sequence[str], groups: IntArray, weights: FloatArray, margins: Margins
 ) -> FloatArray:
-    """(n,) weighted squares of whitened rows as predicted by parameters from the other folds, nuisance parameters marginalised.
+    """(n,) minus twice the log density of whitened rows as predicted from the other folds, nuisance parameters marginalised, but for a
+    constant that models of one weighting share.
 
-    rows: at an optimum; linear in the parameters about it, which have such margins. weights (n,): of each row, from the model's
-    discrepancy. A response's rows sum to minus twice its log predictive density, but for a constant that models of one weighting share.
+        r ~ N(A step, I + A P A'),      P the covariance of the step
+
+    Of u = (I + A P A')^(-1/2) (r - A step) and L = log(I + A P A') a row's share is u_i^2 + L_ii; they sum to that of the fold. What the
+    others leave unknown of the parameters is in the density: a fold that alone determines one is not foreseen by any model, and says
+    nothing of the others.
+
+    rows: at an optimum; linear in the parameters about it. weights (n,): of each row, from the model's discrepancy.
     """
     root = np.sqrt(weights)
     a, r = rows.columns(names) * root[:, None], rows.residual * root
-    out = r.copy()
-    for inside, step in margins.without_each_fold(a, r, folds_of(groups)[rows.segment]):
-        out[inside] -= a[inside] @ step
-    return np.asarray(out**2)
+    out = r**2
+    for fold in margins.without_each_fold(a, r, folds_of(groups)[rows.segment]):
+        own = a[fold.inside]
+        left = r[fold.inside] - own @ fold.step
+        axes, spread = _of_prediction(own, fold.covariance)
+        along = axes.T @ left
+        out[fold.inside] = (left + axes @ ((1.0 / np.sqrt(1.0 + spread) - 1.0) * along)) ** 2 + axes**2 @ np.log1p(
+            spread
+        )
+    return np.asarray(out)
+
+
+def _of_prediction(columns: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal axes (n, q) and variances (q,) of A P A', of columns A (n, p) and covariance P (p, p) of what they multiply."""
+    power, vectors = np.linalg.eigh(covariance)
+    moved = columns @ (vectors * np.sqrt(np.maximum(power, 0.0)))
+    axes, size, _ = np.linalg.svd(moved, full_matrices=False)
+    return axes, size**2
 
 
 @dataclass(frozen=True)
@@ -163,28 +191,27 @@ def moved(
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Rows of a model with its squared prediction errors (n,), as of `cross_validated`."""
+    """Rows of a model with minus twice their log predictive density (n,), as of `cross_validated`."""
 
     rows: Linearisation
-    squares: FloatArray
+    deviance: FloatArray
 
     def by_stratum(self) -> dict[str, float]:
-        """Their sum in each stratum; '' for priors of initial states."""
+        """Its sum in each stratum; '' for priors of initial states."""
         names = ("", *self.rows.strata)  # -1, of initial states, comes first
-        return dict(zip(names, np.bincount(self.rows.stratum + 1, self.squares, len(names)).tolist(), strict=True))
+        return dict(zip(names, np.bincount(self.rows.stratum + 1, self.deviance, len(names)).tolist(), strict=True))
 
-    def by_group(self, stratum: str, groups: IntArray) -> FloatArray:
-        """(n_groups,) their sum in each group."""
+    def by_group(self, stratum: str, groups: IntArray) -> tuple[FloatArray, IntArray]:
+        """(n_groups,) its sum and the number of rows in each group."""
         at = self.rows.stratum == self.rows.strata.index(stratum)
-        return np.asarray(
-            np.bincount(groups[self.rows.segment[at]], self.squares[at], int(groups.max()) + 1), dtype=float
-        )
+        group, n = groups[self.rows.segment[at]], int(groups.max()) + 1
+        return np.asarray(np.bincount(group, self.deviance[at], n), dtype=float), np.bincount(group, minlength=n)
 
 
 def stratum_gains(
     before: CrossValidation, after: CrossValidation, groups: IntArray, seed: int = 0
 ) -> dict[str, tuple[float, float]]:
-    """Stratum to the 95 % percentile bootstrap interval (groups resampled) of the relative fall of the root sum of squares; without strata
+    """Stratum to the 95 % percentile bootstrap interval (groups resampled) of the gain in log predictive density, nats; without strata
     recorded in fewer than `FEWEST_GROUPS` groups, over which no such interval decides anything.
 
     A response is predicted by parameters from other groups and by its own nuisance parameters, which are strata of their own. So the
@@ -193,12 +220,9 @@ def stratum_gains(
     draws = _resampled(groups, seed)
     found = {}
     for name in before.rows.strata:
-        old, new = before.by_group(name, groups), after.by_group(name, groups)
-        if np.count_nonzero(old) < FEWEST_GROUPS:
-            continue
-        some = draws[draws @ (old > 0.0) > 0.0]
-        if some.size:
-            low, high = np.quantile(1.0 - np.sqrt((some @ new) / np.maximum(some @ old, 1e-300)), [0.025, 0.975])
+        (old, count), (new, _) = before.by_group(name, groups), after.by_group(name, groups)
+        if np.count_nonzero(count) >= FEWEST_GROUPS:
+            low, high = np.quantile(draws @ (0.5 * (old - new)), [0.025, 0.975])
             found[name] = float(low), float(high)
     return found
 
