@@ -15,13 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.frozen import reference, responses
-from flighttest.diagnose import block, diagnose
+from flighttest.diagnose import diagnose
+from flighttest.diagnose.output_error import answer
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
 from flighttest.diagnose.selection.candidates import candidates_at
 from flighttest.diagnose.selection.proposals import SURELY, PredictedSizes
 from flighttest.diagnose.selection.search import Search
 from flighttest.diagnose.selection.subsets import Subsets
+from flighttest.estimation.linearisation import Optimum
+from flighttest.physics.model import Model
 
 
 def ratio(search: Search, term: str) -> float:
@@ -43,8 +46,8 @@ ENDED: list[Search] = []
 class Kept(Search):
     """A search that is remembered when it has ended."""
 
-    def judge_as_a_whole(self) -> None:
-        super().judge_as_a_whole()
+    def run(self, model: Model, start: Optimum) -> None:
+        super().run(model, start)
         ENDED.append(self)
 
 
@@ -52,7 +55,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.parse_args()
     home = os.environ.get("FLIGHTTEST_FROZEN") or Path.home() / ".cache" / "flighttest" / "frozen"
-    block.Search = Kept  # type: ignore[misc]
+    answer.Search = Kept  # type: ignore[misc]
     rows: dict[bool, list[tuple[float, float, str]]] = {True: [], False: []}
     flown = [k for k in reference() if (Path(home) / "flights" / k).exists()]
     for key in flown:
