@@ -84,9 +84,6 @@ class Scripted(Search):
         self.sizes = SimpleNamespace(candidates=self.candidates, least=lambda subsets: np.full(len(subsets), 9.0))
         self.lack_of_fit = self.lacking
 
-    def judge_as_a_whole(self):
-        """Of models without rows nothing is predicted."""
-
     def _evidence(self, term, found):
         if not any(of is found and t == term for t, of in self.answered):
             self.asked.append(term)

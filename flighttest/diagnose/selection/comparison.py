@@ -18,15 +18,11 @@ from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, fl
 from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
 from flighttest.diagnose.selection.candidates import null_value, redundant
 from flighttest.diagnose.selection.held_out import (
-    FEWEST_GROUPS,
     CrossValidation,
     Margins,
     PredictionErrors,
     cross_validated,
-    error_ratio_95,
     held_out,
-    held_out_falls,
-    moved,
     places,
     size_in_floors,
     stratum_gains,
@@ -79,8 +75,8 @@ class Evidence:
     effect in noise floors at `place` (channel, kind of maneuver), where it is largest; effect, profiled (measured rows,): what it changes
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
     estimates cannot be what its name means, empty where they can; without: the model fitted without it; improved, worsened: strata
-    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`; `held_out_falls` of few);
-    nothing: the estimates, where a term's absence is not excluded; withdrawn: why the model with all that was named does not stay."""
+    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`);
+    nothing: the estimates, where a term's absence is not excluded; withdrawn: which other term it leaves for, and why."""
 
     term: str
     nats: float
@@ -239,9 +235,6 @@ def evidence_of(
     )
     change = change_by_stratum(after.rows, before.rows)
     intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
-    if not intervals:  # of too few groups: the falls themselves
-        falls = held_out_falls(*held_out_errors(without, fitted, estimator, groups), groups)
-        intervals = {name: (fall, fall) for name, fall in falls.items() if name not in aside}
     return Evidence(
         term=term.id,
         nats=nats,
@@ -255,21 +248,6 @@ def evidence_of(
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0 and visible(change.get(name))),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
     )
-
-
-def predicts_no_more(base: Fitted, now: Fitted, estimator: Estimator, groups: IntArray, floor: NoiseFloor) -> str:
-    """Why a model with all that was named is no better than the base, empty where its errors in what was not used, each response predicted
-    by its initial state alone, are surely smaller: geometric mean over the channels that one of the two misses by more than the noise
-    floor (the likelihood with each channel's variance unknown) and that the two predict differently in some group, since others say
-    nothing of the names. Empty, too, where that is so in fewer groups than such an interval takes: each term was tested by itself."""
-    before, after = held_out_errors(base, now, estimator, groups)
-    differing = moved(before, after, groups, floor, LEAST_FLOORS)
-    if 0 < np.any(list(differing.values()), axis=0).sum() < FEWEST_GROUPS:
-        return ""
-    low, high = error_ratio_95(before, after, groups, floor, [c for c, one in differing.items() if one.any()])
-    if high < 1.0:
-        return ""
-    return f"what was not used is not surely predicted better with all that was named (errors {low:.2g} to {high:.2g} times as large)"
 
 
 def visible(change: FloatArray | None) -> bool:

@@ -176,19 +176,6 @@ class PredictionErrors:
         return np.asarray(np.bincount(groups[segment], error**2, minlength=n), dtype=float), count
 
 
-def moved(
-    before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, least: float
-) -> dict[str, NDArray[np.bool_]]:
-    """Channel to the groups (n,) in which two models predict it differently: by `least` noise floors RMS."""
-    found = {}
-    for name in (c for c in before.rows.channels if c in after.rows.channels):
-        (segment, one), (_, other) = before.of(name), after.of(name)
-        count = np.bincount(groups[segment], minlength=int(groups.max()) + 1)
-        change = np.bincount(groups[segment], (one - other) ** 2, count.size)
-        found[name] = (count > 0) & (change >= (least * floor.of(name)) ** 2 * count)
-    return found
-
-
 @dataclass(frozen=True)
 class CrossValidation:
     """Rows of a model with minus twice their log predictive density (n,), as of `cross_validated`."""
@@ -211,29 +198,25 @@ class CrossValidation:
 def stratum_gains(
     before: CrossValidation, after: CrossValidation, groups: IntArray, seed: int = 0
 ) -> dict[str, tuple[float, float]]:
-    """Stratum to the 95 % percentile bootstrap interval (groups resampled) of the gain in log predictive density, nats; without strata
-    recorded in fewer than `FEWEST_GROUPS` groups, over which no such interval decides anything.
+    """Stratum to an interval of the gain in log predictive density, nats: 95 % percentile bootstrap (groups resampled) of strata recorded
+    in `FEWEST_GROUPS` or more; where none is, over which no such interval decides anything, the least and the most that is left without
+    any one of the groups.
 
     A response is predicted by parameters from other groups and by its own nuisance parameters, which are strata of their own. So the
     constant disturbance of a response does not hide whether the rest of it is predicted better.
     """
-    draws = _resampled(groups, seed)
-    found = {}
+    gains = {}
     for name in before.rows.strata:
         (old, count), (new, _) = before.by_group(name, groups), after.by_group(name, groups)
-        if np.count_nonzero(count) >= FEWEST_GROUPS:
-            low, high = np.quantile(draws @ (0.5 * (old - new)), [0.025, 0.975])
-            found[name] = float(low), float(high)
-    return found
-
-
-def held_out_falls(before: PredictionErrors, after: PredictionErrors, groups: IntArray) -> dict[str, float]:
-    """Channel to the relative fall of the root mean square error: what can be asked of fewer groups than an interval takes."""
+        gains[name] = 0.5 * (old - new)[count > 0]
+    most = max((gain.size for gain in gains.values()), default=0)
     found = {}
-    for name in before.rows.channels:
-        (first, count), (second, _) = before.squares(name, groups), after.squares(name, groups)
-        if count.any():
-            found[name] = 1.0 - float(np.sqrt(second.sum() / max(first.sum(), 1e-300)))
+    for name, gain in gains.items():
+        if most >= FEWEST_GROUPS <= gain.size:
+            low, high = np.quantile(_resampled(np.arange(gain.size), seed) @ gain, [0.025, 0.975])
+            found[name] = float(low), float(high)
+        elif gain.size >= 2 and most < FEWEST_GROUPS:
+            found[name] = float(gain.sum() - gain.max()), float(gain.sum() - gain.min())
     return found
 
 
@@ -277,21 +260,6 @@ def gains_held_out(
         low, high = np.quantile(drops[draws @ n_b > 0], [0.025, 0.975])
         found[name] = HeldOut(rmse(ss_b, n_b), rmse(ss_a, n_a), floor.of(name), (float(low), float(high)))
     return found
-
-
-def error_ratio_95(
-    before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, channels: Sequence[str]
-) -> tuple[float, float]:
-    """95 % interval (bootstrap over groups) of the errors of one model over those of another, geometric mean over those of the channels
-    that one of them misses by more than the noise floor; (1, 1) where there is none."""
-    draws = _resampled(groups, 0)
-    logs = []
-    for name in channels:
-        (ss_b, n_b), (ss_a, _) = before.squares(name, groups), after.squares(name, groups)
-        if max(ss_b.sum(), ss_a.sum()) > floor.of(name) ** 2 * n_b.sum():
-            logs.append(0.5 * np.log(np.maximum(draws @ ss_a, 1e-300) / np.maximum(draws @ ss_b, 1e-300)))
-    low, high = np.exp(np.quantile(np.mean(logs, axis=0), [0.025, 0.975])) if logs else (1.0, 1.0)
-    return float(low), float(high)
 
 
 def _resampled(groups: IntArray, seed: int) -> FloatArray:

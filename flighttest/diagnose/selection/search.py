@@ -28,7 +28,6 @@ from flighttest.diagnose.selection.comparison import (
     inadmissible,
     least_needed_first,
     log_evidence,
-    predicts_no_more,
 )
 from flighttest.diagnose.selection.fitted_models import FittedModels
 from flighttest.diagnose.selection.proposals import PredictedSizes, proposals
@@ -104,7 +103,6 @@ class Search:
                 break
         self._judge_beside_nameless()
         self._judge_as_reported()
-        self.judge_as_a_whole()
 
     def _round(self) -> bool:
         """One linearisation; whether anything was tried from it that may lead further."""
@@ -167,18 +165,6 @@ class Search:
             if not left:
                 return
             self.linearise()
-
-    def judge_as_a_whole(self) -> None:
-        """Withdraw what was named where the model with all of it does not predict more than the base: terms that are each needed beside the
-        others may explain disturbances and not the flight."""
-        if not self.evidence or self.base is None or self.now is None or self.floor is None:
-            return
-        if not (why := predicts_no_more(self.base, self.now, self.estimator, self.groups, self.floor)):
-            return
-        self.rejected |= {t: replace(e, withdrawn=why) for t, e in self.evidence.items()}
-        self.now, self.evidence = self.base, {}
-        self.progress(f"{' and '.join(sorted(self.rejected))}: {why}")
-        self.linearise()
 
     def beside_drift(self) -> Fitted:
         """The present model, and beside it the terms that may be no more than what instruments drift by (`Param.drift`): they are no
