@@ -55,7 +55,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.parse_args()
     home = os.environ.get("FLIGHTTEST_FROZEN") or Path.home() / ".cache" / "flighttest" / "frozen"
-    answer.Search = Kept  # type: ignore[misc]
+    answer.Search = Kept  # type: ignore[attr-defined]
     rows: dict[bool, list[tuple[float, float, str]]] = {True: [], False: []}
     flown = [k for k in reference() if (Path(home) / "flights" / k).exists()]
     for key in flown:

@@ -5,6 +5,7 @@ import importlib.util
 import json
 import lzma
 import re
+from pathlib import Path
 
 import pytest
 
@@ -53,3 +54,9 @@ def test_the_readmes_python_runs(repository, tmp_path, capsys):
         exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
     assert "a_t <- a_t / (1 - R^2 / (16 z^2))" in capsys.readouterr().out
     assert (tmp_path / "model.yaml").is_file()
+
+
+@pytest.mark.parametrize("name", sorted(p.stem for p in (Path(__file__).parents[2] / "benchmarks").glob("*.py")))
+def test_what_a_benchmark_imports_exists(name):
+    """One imported a module that had another name by then, and nothing noticed."""
+    importlib.import_module(f"benchmarks.{name}")
