@@ -25,7 +25,7 @@ from flighttest.diagnose.selection.comparison import (
 )
 from flighttest.diagnose.selection.held_out import (
     CrossValidation,
-    Margins,
+    ParameterPrior,
     cross_validated,
     stratum_gains,
 )
@@ -183,7 +183,9 @@ def test_the_predictive_density_is_that_of_what_the_other_folds_say(rng):
     alone = (groups % 5)[rows.segment] == 0
     columns[~alone, 1] = 0.0
     rows, std = rows_of(y, columns, segments=20), np.array([2.0, 3.0])
-    found = cross_validated(rows, ("p0", "p1"), groups, weights, Margins(np.full(2, -np.inf), np.full(2, np.inf), std))
+    found = cross_validated(
+        rows, ("p0", "p1"), groups, weights, ParameterPrior(np.full(2, -np.inf), np.full(2, np.inf), std)
+    )
     root = np.sqrt(weights)
     a, r = columns * root[:, None], y * root
     for fold in range(5):

@@ -18,7 +18,7 @@ from flighttest.diagnose.residuals.locate import explained_by
 from flighttest.diagnose.selection import detectability
 from flighttest.diagnose.selection.comparison import log_odds_asked
 from flighttest.diagnose.selection.held_out import (
-    Margins,
+    ParameterPrior,
     PredictionErrors,
     gains_held_out,
     held_out,
@@ -45,11 +45,22 @@ def test_held_out_residuals_are_those_of_fits_without_the_fold(rng):
     theta = np.linalg.lstsq(columns, y, rcond=None)[0]
     rows = rows_of(y - columns @ theta, columns, segments=20)
     groups = np.arange(20) // 4
-    found = held_out(rows, ("p0", "p1"), groups, Margins(np.full(2, -np.inf), np.full(2, np.inf), np.full(2, 1e3)))
+    found = held_out(
+        rows, ("p0", "p1"), groups, ParameterPrior(np.full(2, -np.inf), np.full(2, np.inf), np.full(2, 1e3))
+    )
     for fold in range(5):
         inside = (groups % 5)[rows.segment] == fold
         refit = np.linalg.lstsq(columns[~inside], y[~inside], rcond=None)[0]
         np.testing.assert_allclose(found[inside], y[inside] - columns[inside] @ refit, atol=1e-6)
+
+
+def test_a_parameter_without_effect_takes_nothing_from_the_others(rng):
+    columns = np.stack([rng.normal(size=600), np.zeros(600)], axis=1)
+    rows, groups = rows_of(2.0 * columns[:, 0], columns, segments=20), np.arange(20) // 4
+    prior = ParameterPrior(np.full(2, -np.inf), np.full(2, np.inf), np.array([1e3, 1e-9]))
+    for fold in prior.without_each_fold(columns, rows.residual, (groups % 5)[rows.segment]):
+        assert fold.step == pytest.approx([2.0, 0.0], abs=1e-6)
+        assert np.sqrt(np.diag(fold.covariance)) == pytest.approx([1.0 / np.sqrt(480.0), 1e-9], rel=0.1)
 
 
 def test_parameters_without_a_fold_stay_inside_their_bounds(rng):
@@ -61,8 +72,10 @@ def test_parameters_without_a_fold_stay_inside_their_bounds(rng):
     first = (groups % 5)[rows.segment] == 0
     columns[~first, 1] = 1e-4 * rng.normal(size=int(np.sum(~first)))
     rows = rows_of(rng.normal(size=n), columns, segments=20)
-    free = held_out(rows, ("p0", "p1"), groups, Margins(np.full(2, -np.inf), np.full(2, np.inf), np.full(2, 1e3)))
-    bounded = held_out(rows, ("p0", "p1"), groups, Margins(np.full(2, -0.5), np.full(2, 0.5), np.full(2, 1e3)))
+    free = held_out(
+        rows, ("p0", "p1"), groups, ParameterPrior(np.full(2, -np.inf), np.full(2, np.inf), np.full(2, 1e3))
+    )
+    bounded = held_out(rows, ("p0", "p1"), groups, ParameterPrior(np.full(2, -0.5), np.full(2, 0.5), np.full(2, 1e3)))
     assert np.sqrt(np.mean(free[first] ** 2)) > 20.0
     assert np.sqrt(np.mean(bounded[first] ** 2)) < 1.5
     np.testing.assert_allclose(bounded[~first], free[~first], atol=1e-6)

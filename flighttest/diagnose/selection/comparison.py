@@ -19,7 +19,7 @@ from flighttest.diagnose.selection.admissible import EstimatedModel, outside_pri
 from flighttest.diagnose.selection.candidates import null_value, redundant
 from flighttest.diagnose.selection.held_out import (
     CrossValidation,
-    Margins,
+    ParameterPrior,
     PredictionErrors,
     cross_validated,
     held_out,
@@ -58,9 +58,9 @@ class Fitted:
         return np.asarray(self.rows.residual - basis @ (basis.T @ self.rows.residual))
 
     @property
-    def margins(self) -> Margins:
-        """How far what is estimated may move from the optimum."""
-        return Margins.of([self.model.param[n] for n in self.names], self.at.values)
+    def prior(self) -> ParameterPrior:
+        """Of what is estimated."""
+        return ParameterPrior.of([self.model.param[n] for n in self.names], self.at.values)
 
     @property
     def finite(self) -> bool:
@@ -182,7 +182,7 @@ def held_out_errors(
     noises would make two predictions of one model."""
 
     def of(fitted: Fitted, rows: Linearisation) -> PredictionErrors:
-        return PredictionErrors(rows, held_out(rows, fitted.names, groups, fitted.margins))
+        return PredictionErrors(rows, held_out(rows, fitted.names, groups, fitted.prior))
 
     after = of(larger, larger.rows)
     return after if larger is smaller else of(smaller, rows_in_noise_of(larger, smaller, estimator)), after
@@ -195,7 +195,7 @@ def cross_validations(
     weights = weights_of(larger, estimator.segments, floor)
 
     def of(fitted: Fitted, rows: Linearisation) -> CrossValidation:
-        return CrossValidation(rows, cross_validated(rows, fitted.names, groups, weights(rows), fitted.margins))
+        return CrossValidation(rows, cross_validated(rows, fitted.names, groups, weights(rows), fitted.prior))
 
     return of(larger, larger.rows), of(smaller, rows_in_noise_of(larger, smaller, estimator))
 

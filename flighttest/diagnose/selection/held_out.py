@@ -56,7 +56,7 @@ def folds_of(groups: IntArray) -> IntArray:
 
 
 @dataclass(frozen=True)
-class Margins:
+class ParameterPrior:
     """What is known of parameters before any data, from their optimum, in their own units: least (p,) <= 0 and most (p,) >= 0, how far they
     may move before they reach their bounds; std (p,) of a normal prior, which counts where a fold's training data do not."""
 
@@ -65,7 +65,7 @@ class Margins:
     std: FloatArray
 
     @classmethod
-    def of(cls, params: Sequence[Param], values: Mapping[str, float]) -> Margins:
+    def of(cls, params: Sequence[Param], values: Mapping[str, float]) -> ParameterPrior:
         """params: those that are estimated, in the order of the columns."""
         least = np.array([min(p.lower - values[p.name], 0.0) for p in params])
         most = np.array([max(p.upper - values[p.name], 0.0) for p in params])
@@ -76,7 +76,7 @@ class Margins:
 
         columns (n, p), residual (n,): whitened. Least squares inside the bounds, as every estimate is.
         """
-        length = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-150)
+        length = np.hypot(np.linalg.norm(columns, axis=0), 1.0 / self.std)  # of a column and its prior: none is zero
         a, least, most = columns / length, self.least * length, self.most * length
         prior = np.diag(1.0 / (self.std * length) ** 2)
         gram, moment = a.T @ a, a.T @ residual
@@ -107,21 +107,20 @@ def _bounded(h: FloatArray, g: FloatArray, least: FloatArray, most: FloatArray) 
     return np.asarray(lsq_linear(root[:, None] * axes.T, (axes.T @ g) / root, (least, most), method="bvls").x)
 
 
-def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray, margins: Margins) -> FloatArray:
+def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray, prior: ParameterPrior) -> FloatArray:
     """(n,) residual in the channel's unit of every response as predicted by parameters from the other folds.
 
-    rows: at an optimum; linear in the parameters about it, which have such margins. A response keeps its own initial state, its
-    disturbance is unknown.
+    rows: at an optimum; linear in the parameters about it. A response keeps its own initial state, its disturbance is unknown.
     """
     fold_of_row, unprofiled = folds_of(groups)[rows.segment], rows.unprofiled_columns(names)
     out = rows.unprofiled_residual.copy()
-    for fold in margins.without_each_fold(rows.columns(names), rows.residual, fold_of_row):
+    for fold in prior.without_each_fold(rows.columns(names), rows.residual, fold_of_row):
         out[fold.inside] -= unprofiled[fold.inside] @ fold.step
     return out
 
 
 def cross_validated(
-    rows: Linearisation, names: Sequence[str], groups: IntArray, weights: FloatArray, margins: Margins
+    rows: Linearisation, names: Sequence[str], groups: IntArray, weights: FloatArray, prior: ParameterPrior
 ) -> FloatArray:
     """(n,) minus twice the log density of whitened rows as predicted from the other folds, nuisance parameters marginalised, but for a
     constant that models of one weighting share.
@@ -137,7 +136,7 @@ def cross_validated(
     root = np.sqrt(weights)
     a, r = rows.columns(names) * root[:, None], rows.residual * root
     out = r**2
-    for fold in margins.without_each_fold(a, r, folds_of(groups)[rows.segment]):
+    for fold in prior.without_each_fold(a, r, folds_of(groups)[rows.segment]):
         own = a[fold.inside]
         left = r[fold.inside] - own @ fold.step
         axes, spread = _of_prediction(own, fold.covariance)
