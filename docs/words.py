@@ -42,6 +42,12 @@ GLOSSARY = (
     ),
     Entry("channel", "one measured quantity: name, unit, frame", "channels.py"),
     Entry("clearance", "where in the zone a step can be flown, its stop and a lost link included", "plan/clearance.py"),
+    Entry(
+        "colored residuals",
+        "residuals correlated in time, whose correlation is in the standard errors",
+        "estimation/uncertainty/colored_residuals.py",
+        "Morelli & Klein 1997",
+    ),
     Entry("column map", "which column of a foreign table is which channel", "logs/tables/columns.py"),
     Entry(
         "CR2",

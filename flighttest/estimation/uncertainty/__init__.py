@@ -1,1 +1,1 @@
-"""How far estimates may be off: cluster-robust covariance, model discrepancy, distributions."""
+"""How far estimates may be off: cluster-robust covariance, colored residuals, closed-loop bias, model discrepancy, distributions."""

@@ -1,5 +1,5 @@
-"""How much farther estimates scatter than the noise model says, since residuals are correlated in time (Morelli & Klein 1997, Accuracy of
-aerodynamic model parameters estimated from flight test data; Klein & Morelli 2006, section 5.5):
+"""Colored residuals: how much farther estimates scatter than the noise model says, since residuals are correlated in time (Morelli & Klein
+1997, Accuracy of aerodynamic model parameters estimated from flight test data; Klein & Morelli 2006, Aircraft System Identification):
 
     cov = H^-1 [sum_ik J_ik' R_k J_ik] H^-1
 
