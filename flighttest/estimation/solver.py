@@ -46,6 +46,11 @@ class Solution:
     cost: float
     iterations: int
 
+    def weighed(self, problem: Problem) -> tuple[LikelihoodWeights, State]:
+        """How the problem's residuals are weighed at this optimum, single samples far out less, and where it stands."""
+        weighing = LikelihoodWeights(problem, self.noise, self.response_weight, robust=True)
+        return weighing, State(np.zeros(0), list(self.local), list(self.evaluations))
+
 
 @dataclass
 class _PenalisedCost:

@@ -394,6 +394,11 @@ def test_of_few_groups_all_but_any_one_have_to_be_predicted_better(rng):
     assert gains(-137.0, 2.0, 5.0)["f_z_m_s2"][1] == pytest.approx(-130.0 + 137.0)
     one, other = (CrossValidation(rows, f * rng.normal(size=1000) ** 2) for f in (1.0, 0.1))
     assert stratum_gains(one, other, np.zeros(20, dtype=np.intp)) == {}
+    fifth, all_five = 0.5 * (one.deviance - other.deviance), np.arange(20)[rows.segment] % 5
+    each = np.bincount(all_five[rows.stratum == 0], fifth[rows.stratum == 0])
+    assert stratum_gains(one, other, np.arange(20) % 5)["f_z_m_s2"] == pytest.approx(
+        (each.sum() - each.max(), each.sum() - each.min())
+    )
     sixth = stratum_gains(one, other, np.arange(20) % 6)["f_z_m_s2"]
     assert 0.0 < sixth[0] < sixth[1]
 

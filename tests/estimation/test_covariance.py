@@ -72,12 +72,20 @@ def test_few_clusters_fall_back_on_the_correlation_in_time():
     assert cluster_covariance(normal, ("a", "b")).matrix == pytest.approx(np.eye(2) / 4.0)
 
 
-def test_many_clusters_need_no_correlation_in_time():
-    def unasked():
-        raise AssertionError
+@pytest.mark.parametrize(("clusters", "in_time"), [(3, True), (4, False)])
+def test_a_mean_over_three_clusters_is_determined_by_too_few_and_one_over_four_is_not(clusters, in_time):
+    """Two and three degrees of freedom: Student's 97.5 % quantile is 4.3 and 3.2."""
+    score = np.random.default_rng(4).standard_normal((clusters, 1))
+    asked = []
 
-    normal, _, _, _ = linear(np.random.default_rng(4), 12, 6, 1.0)
-    assert cluster_covariance(normal, ("a", "b"), unasked).dof.min() > 2.5
+    def colored():
+        asked.append(True)
+        return ColoredResiduals(np.array([9.0]), np.array([30.0]))
+
+    normal = Normal(("a",), np.full((clusters, 1, 1), 5.0), score - score.mean())
+    covariance = cluster_covariance(normal, ("a",), colored)
+    assert bool(asked) is in_time
+    assert covariance.dof[0] == pytest.approx(30.0 if in_time else clusters - 1.0)
 
 
 def test_a_clock_error_widens_all_delays_alike_and_nothing_else(found):

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.likelihood_weights import LikelihoodWeights, Normal, State
+from flighttest.estimation.likelihood_weights import Normal
 from flighttest.estimation.problem import Problem
 from flighttest.estimation.solver import Solution
 from flighttest.estimation.uncertainty.colored_residuals import ColoredResiduals, colored_residuals
@@ -117,8 +117,7 @@ def scatter_of(problem: Problem, solution: Solution) -> Covariance:
     """Cluster-robust covariance of the free parameters that have an effect and are not at a bound; clusters are cells, since an equation
     that is nearly right errs alike in all repeats of one (Cameron & Miller 2015: cluster as widely as errors may be correlated)."""
     active = tuple(n for n in solution.free if n not in solution.insensitive and n not in solution.at_bound)
-    at = State(np.zeros(0), list(solution.local), list(solution.evaluations))
-    weighing = LikelihoodWeights(problem, solution.noise, solution.response_weight, robust=True)
+    weighing, at = solution.weighed(problem)
     covariance = cluster_covariance(
         solution.normal.by(problem.cells), active, lambda: colored_residuals(weighing, at, solution.normal, active)
     )

@@ -31,7 +31,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.estimation.drift import DISTURBANCE_DRIFT
-from flighttest.estimation.likelihood_weights import LikelihoodWeights, State
 from flighttest.estimation.problem import Noise, Part, Problem, kinds_of, prior_std
 from flighttest.estimation.solver import Solution
 from flighttest.estimation.uncertainty.distributions import expected_excess
@@ -48,8 +47,7 @@ FEWEST_DIFFERENCES = 5.0  # degrees of freedom between repeats below which they 
 
 def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequence[str]) -> FloatArray:
     """(p, p) of the `active` names, in their units: see the module's text."""
-    at = State(np.zeros(0), list(solution.local), list(solution.evaluations))
-    weighing = LikelihoodWeights(problem, solution.noise, solution.response_weight, robust=True)
+    weighing, at = solution.weighed(problem)
     kinds = kinds_of(problem.segments)
     normal, backs = weighing.normal_equations(at, solution.free)
     pick = [solution.free.index(n) for n in active]
