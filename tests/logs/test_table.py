@@ -8,7 +8,7 @@ from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs import import_log
 from flighttest.logs.tables.columns import parse_columns
-from flighttest.logs.tables.crazyflie import beyond_limits, mixed_commands
+from flighttest.logs.tables.crazyflie import beyond_limits, crazyflie_map, mixed_commands
 from flighttest.logs.tables.sheet import Sheet
 from tests.logs.tables import N, mapped, save
 
@@ -276,6 +276,17 @@ def test_crazyflie_logs_are_known_without_a_map(shared_data):
     assert (
         3.3 < np.median(import_log(folder / "motor_data" / "normal_flight" / "E8_log00").channel("voltage_v")[1]) < 3.8
     )
+
+
+def test_a_crazyflies_sensors_are_read_where_its_controller_was_not_logged():
+    """controller_pid.c: r_roll = radians(gyro.x), r_pitch = -radians(gyro.y), r_yaw = radians(gyro.z), accelz = acc.z."""
+    sensors, controller = ("gyro.x", "gyro.y", "gyro.z", "acc.z"), ("r_roll", "r_pitch", "r_yaw", "accelz")
+    raw = crazyflie_map(("timestamp", *sensors, "acc.x", "acc.y")).columns
+    both = crazyflie_map((*sensors, *(f"controller.{n}" for n in controller))).columns
+    for name, sensor, other in zip(("p_rad_s", "q_rad_s", "r_rad_s", "f_z_m_s2"), sensors, controller, strict=True):
+        assert [raw[name].columns, both[name].columns] == [(sensor,), (f"controller.{other}",)]
+    assert [raw["q_rad_s"].scale, both["q_rad_s"].scale] == pytest.approx([np.pi / 180.0, -1.0])
+    assert {raw[n].scale for n in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")} == {both["f_z_m_s2"].scale} == {9.80665}
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.005, False), (0.02, True)])

@@ -1,7 +1,8 @@
 """What the log variables of a Crazyflie are called and measure, for logs that come without a column map.
 
 Source: the Crazyflie firmware's log groups (bitcraze.io, "list of logs"). Angles are in degrees in its legacy body frame, in which pitch
-is positive nose up; accelerations in g, stateEstimate's without gravity in the world frame; thrust runs from 0 to 65535.
+is positive nose up, as is controller.r_pitch (minus gyro.y), in rad/s; gyro in deg/s and acc in g are in the body frame, z up;
+stateEstimate's accelerations are in g without gravity in the world frame; thrust runs from 0 to 65535.
 """
 
 from __future__ import annotations
@@ -18,35 +19,39 @@ _DEG = 0.017453292519943295
 _G = 9.80665
 _THRUST = 1.0 / 65535.0
 
-_KNOWN: dict[str, ColumnSource] = {
-    "t_s": ColumnSource(("timestamp",), 1e-3),
-    "roll_rad": ColumnSource(("stateEstimate.roll",), _DEG),
-    "pitch_rad": ColumnSource(("stateEstimate.pitch",), -_DEG),
-    "yaw_rad": ColumnSource(("stateEstimate.yaw",), _DEG),
-    "p_rad_s": ColumnSource(("controller.r_roll",)),
-    "q_rad_s": ColumnSource(("controller.r_pitch",)),
-    "r_rad_s": ColumnSource(("controller.r_yaw",)),
-    "roll_ref_rad": ColumnSource(("controller.roll",), _DEG),
-    "pitch_ref_rad": ColumnSource(("controller.pitch",), -_DEG),
-    "f_z_m_s2": ColumnSource(("controller.accelz",), _G),
-    "a_x_m_s2": ColumnSource(("stateEstimate.ax",), _G),
-    "a_y_m_s2": ColumnSource(("stateEstimate.ay",), _G),
-    "a_z_m_s2": ColumnSource(("stateEstimate.az",), _G),
-    "v_x_m_s": ColumnSource(("stateEstimate.vx",)),
-    "v_y_m_s": ColumnSource(("stateEstimate.vy",)),
-    "v_z_m_s": ColumnSource(("stateEstimate.vz",)),
-    "p_x_m": ColumnSource(("stateEstimate.x",)),
-    "p_y_m": ColumnSource(("stateEstimate.y",)),
-    "p_z_m": ColumnSource(("stateEstimate.z",)),
-    "voltage_v": ColumnSource(("pm.vbatMV",), 1e-3),
-    **{f"motor_{k}": ColumnSource((f"motor.m{k}",), _THRUST) for k in range(1, 5)},
+# The first that was logged.
+_KNOWN: dict[str, tuple[ColumnSource, ...]] = {
+    "t_s": (ColumnSource(("timestamp",), 1e-3),),
+    "roll_rad": (ColumnSource(("stateEstimate.roll",), _DEG),),
+    "pitch_rad": (ColumnSource(("stateEstimate.pitch",), -_DEG),),
+    "yaw_rad": (ColumnSource(("stateEstimate.yaw",), _DEG),),
+    "p_rad_s": (ColumnSource(("controller.r_roll",)), ColumnSource(("gyro.x",), _DEG)),
+    "q_rad_s": (ColumnSource(("controller.r_pitch",), -1.0), ColumnSource(("gyro.y",), _DEG)),
+    "r_rad_s": (ColumnSource(("controller.r_yaw",)), ColumnSource(("gyro.z",), _DEG)),
+    "roll_ref_rad": (ColumnSource(("controller.roll",), _DEG),),
+    "pitch_ref_rad": (ColumnSource(("controller.pitch",), -_DEG),),
+    "f_x_m_s2": (ColumnSource(("acc.x",), _G),),
+    "f_y_m_s2": (ColumnSource(("acc.y",), _G),),
+    "f_z_m_s2": (ColumnSource(("controller.accelz",), _G), ColumnSource(("acc.z",), _G)),
+    "a_x_m_s2": (ColumnSource(("stateEstimate.ax",), _G),),
+    "a_y_m_s2": (ColumnSource(("stateEstimate.ay",), _G),),
+    "a_z_m_s2": (ColumnSource(("stateEstimate.az",), _G),),
+    "v_x_m_s": (ColumnSource(("stateEstimate.vx",)),),
+    "v_y_m_s": (ColumnSource(("stateEstimate.vy",)),),
+    "v_z_m_s": (ColumnSource(("stateEstimate.vz",)),),
+    "p_x_m": (ColumnSource(("stateEstimate.x",)),),
+    "p_y_m": (ColumnSource(("stateEstimate.y",)),),
+    "p_z_m": (ColumnSource(("stateEstimate.z",)),),
+    "voltage_v": (ColumnSource(("pm.vbatMV",), 1e-3),),
+    **{f"motor_{k}": (ColumnSource((f"motor.m{k}",), _THRUST),) for k in range(1, 5)},
+    # the command, else what the motors were commanded
+    "throttle": (
+        ColumnSource(("controller.cmd_thrust",), _THRUST), ColumnSource(("stabilizer.thrust",), _THRUST),
+        ColumnSource(("motor.m1", "motor.m2", "motor.m3", "motor.m4"), _THRUST),
+    ),
 }  # fmt: skip
-# The first that was logged: the command, else what the motors were commanded.
-_THROTTLE = (
-    ColumnSource(("controller.cmd_thrust",), _THRUST),
-    ColumnSource(("stabilizer.thrust",), _THRUST),
-    ColumnSource(("motor.m1", "motor.m2", "motor.m3", "motor.m4"), _THRUST),
-)
+# Second-order low-passes before anything reads the sensors (ACCEL_LPF_CUTOFF_FREQ, GYRO_LPF_CUTOFF_FREQ of sensors_bmi088_bmp388.c).
+_FILTERS_HZ = {"specific_force": 30.0, "rates": 80.0}
 # Commands and what each adds to the motors 1 to 4 (power_distribution_quadrotor.c, powerDistributionLegacy).
 _MIXER = {
     "controller.cmd_thrust": (1.0, 1.0, 1.0, 1.0), "controller.cmd_roll": (-0.5, -0.5, 0.5, 0.5),
@@ -58,11 +63,11 @@ _OFTEN = 0.01  # of the samples with thrust: a motor that is at its limit less o
 def crazyflie_map(names: tuple[str, ...]) -> ColumnMap:
     """The map of those variables that were logged."""
     present = set(names)
-    columns = {name: source for name, source in _KNOWN.items() if present.issuperset(source.columns)}
-    throttle = next((source for source in _THROTTLE if present.issuperset(source.columns)), None)
-    if throttle is not None:
-        columns["throttle"] = throttle
-    return ColumnMap(columns)
+    logged = {
+        name: next((one for one in sources if present.issuperset(one.columns)), None)
+        for name, sources in _KNOWN.items()
+    }
+    return ColumnMap({name: one for name, one in logged.items() if one is not None}, filters_hz=_FILTERS_HZ)
 
 
 def mixed_commands(sheet: Sheet) -> dict[str, FloatArray]:
