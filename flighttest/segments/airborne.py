@@ -72,8 +72,8 @@ def _driven(recording: Recording, start: float, end: float) -> tuple[float, floa
 
 
 def _off_ground(recording: Recording, start: float, end: float) -> tuple[float, float]:
-    """Without the stretches at both ends in which the vehicle stands: no higher than a hand above where it was with idle motors, or above
-    its lowest where motors are driven to the end. An estimated height drifts, by 0.17 m in half a minute in a Crazyflie's log."""
+    """Without the stretches at both ends in which the vehicle stands: no higher than a hand above where it was with idle motors just before
+    and after, or above its lowest where motors are driven to the end."""
     if not recording.has("height_m", "v_x_m_s"):
         return start, end
     t, height = recording.channel("height_m")
@@ -82,8 +82,8 @@ def _off_ground(recording: Recording, start: float, end: float) -> tuple[float, 
     if t.size < 10:
         return start, end
     begins, ends = _driven(recording, start, end)
-    first = int(np.argmax(height > _ground(height, t < begins) + _LOW_M))
-    last = t.size - 1 - int(np.argmax(height[::-1] > _ground(height, t > ends) + _LOW_M))
+    first = int(np.argmax(height > _ground(height, (t < begins) & (t >= begins - _ASIDE_S)) + _LOW_M))
+    last = t.size - 1 - int(np.argmax(height[::-1] > _ground(height, (t > ends) & (t <= ends + _ASIDE_S)) + _LOW_M))
     if first > 0 and _still(recording, t[0], t[max(first // 2, 1)]):
         start = float(t[first])
     if last < t.size - 1 and _still(recording, t[(last + t.size) // 2], t[-1]):
@@ -92,6 +92,7 @@ def _off_ground(recording: Recording, start: float, end: float) -> tuple[float, 
 
 
 def _ground(height: FloatArray, idle: NDArray[np.bool_]) -> float:
+    """Where it stood, m: as near in time as can be, since estimated heights drift, by 0.5 m in seconds in a Crazyflie's log."""
     return float(np.median(height[idle]) if idle.any() else np.min(height))
 
 
@@ -191,9 +192,9 @@ def _low(recording: Recording, down: float, up: float) -> tuple[float, float]:
     t, height = recording.channel("height_m")
     known = np.isfinite(height)
     t, height = t[known], height[known]
-    resting = height[(t >= down) & (t <= up)]
-    if not resting.size:
+    first, last = ((t >= a) & (t <= b) for a, b in ((down, min(down + _ASIDE_S, up)), (max(up - _ASIDE_S, down), up)))
+    if not first.any() or not last.any():
         return down - _ASIDE_S, up + _ASIDE_S
-    high = t[height > float(np.median(resting)) + _LOW_M]
-    before, behind = high[high < down], high[high > up]
+    before = t[(height > _ground(height, first) + _LOW_M) & (t < down)]
+    behind = t[(height > _ground(height, last) + _LOW_M) & (t > up)]
     return float(before[-1]) if before.size else down, float(behind[0]) if behind.size else up
