@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.model import Finding, Located, Untestable
+from flighttest.diagnose.model import EXPLAINED_SHARE, Finding, Located, Untestable, channel_words
 from flighttest.diagnose.records import (
     ABOVE_FLOOR,
     CandidateRow,
@@ -89,6 +89,11 @@ class PartAnswer:
     held: HeldEstimate | None = None
     winds: tuple[FlightWind, ...] = ()
 
+    @property
+    def share(self) -> float:
+        """What stays of its error: the mean over channels, which count alike, whatever their floors."""
+        return float(np.mean(self.shares)) if self.shares else float(bool(self.staying))
+
     def findings(self, asked: Asked, table: Mapping[str, ParameterRow]) -> list[Finding]:
         """Of every named term. table: parameters of the final model."""
         del asked, table
@@ -100,10 +105,17 @@ def listed(answers: Sequence[PartAnswer], what: str) -> list[Any]:
     return [each for a in answers for each in getattr(a, what)]
 
 
-def error_of(answers: Sequence[PartAnswer]) -> str:
-    """What their shares are shares of; of errors of several kinds, of the error."""
+def error_left(answers: Sequence[PartAnswer]) -> tuple[float, str]:
+    """Share of the error that stays, and which error, in words: of the part with the largest share among those with a mismatch that stays;
+    where that counts as explained, of all. Parts share no parameter: an attitude that is explained makes up for no vertical motion that
+    is not."""
+    worst = max((a for a in answers if a.staying), key=lambda a: a.share, default=None)
+    if worst is not None and worst.share > EXPLAINED_SHARE:
+        return worst.share, f"{worst.error} in {', '.join(channel_words(c) for c in sorted(worst.staying))}"
     kinds = {a.error for a in answers if a.shares}
-    return "error" if len(kinds) > 1 else next(iter(kinds), ABOVE_FLOOR)
+    return float(np.mean(listed(answers, "shares") or [0.0])), "error" if len(kinds) > 1 else next(
+        iter(kinds), ABOVE_FLOOR
+    )
 
 
 def merged(tables: Iterable[Mapping[str, V]]) -> dict[str, V]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.answer import Asked, PartAnswer, error_of, listed, merged
+from flighttest.diagnose.answer import Asked, PartAnswer, error_left, listed, merged
 from flighttest.diagnose.conclusion import (
     UNMOVED,
     UNTRIED,
@@ -66,9 +66,7 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
     hidden = {u.term: u.why for u in unseen}
     units = {p.name: p.unit for t in catalogue().values() for p in t.params}
     staying = {c for a in answers for c in a.staying}
-    shares = listed(answers, "shares")  # channels count alike, whatever their floors
-    share = float(np.mean(shares)) if shares else float(bool(staying))
-    error = error_of(answers)
+    share, error = error_left(answers)
     so_far = verdict_of(bool(findings), share, bool(located), bool(staying))
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
     nameless = searches and so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)

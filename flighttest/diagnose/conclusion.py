@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.model import Finding, Located, TermVerdict, Verdict, channel_words
+from flighttest.diagnose.model import EXPLAINED_SHARE, Finding, Located, TermVerdict, Verdict, channel_words
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import SIGNIFICANCE
 from flighttest.estimation.drift import DISTURBANCE_DRIFT
@@ -16,7 +16,6 @@ from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import ROTOR_HEIGHT_M
 
-EXPLAINED_SHARE = 0.2  # of the error may stay when the mismatch counts as explained
 DELAYS_DIFFER_S = 0.01
 BY_TIME, BY_HEIGHT = "time_since_takeoff_s", "height_m"
 COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do

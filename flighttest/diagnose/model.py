@@ -34,6 +34,8 @@ from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
 from flighttest.script.model import ScriptData
 
+EXPLAINED_SHARE = 0.2  # of the error of a part of the model may stay when its mismatch counts as explained
+
 
 class Verdict(Enum):
     """The answer as a whole. The value is the sentence shown to the reader."""

@@ -167,7 +167,7 @@ class SetAside(TypedDict, total=False):
 
 
 class Unexplained(TypedDict):
-    """Share of the error that stays; of: which error, in words (`answer.error_of`)."""
+    """Share of the error that stays; of: which error, in words (`answer.error_left`)."""
 
     excess_share: float
     of: str
