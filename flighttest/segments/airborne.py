@@ -17,6 +17,8 @@ _IDLE = 0.02  # throttle of motors that do not lift
 _LOW_M = 0.15
 _STILL_M_S = 0.15
 _STANDS_S = 1.0  # motors off for so long in the air would be a fall at 10 m/s
+# An estimate drifts while the vehicle stands (by 0.2 m/s in a Crazyflie's log); in a fall of `_STANDS_S` the median speed is 5 m/s.
+_STANDS_M_S = 0.5
 _RESTS_M_S2 = 0.5  # specific force of what stands differs from g by less
 # Of the throttle at which most of the flight has a specific force near g. With less, and that force, something else carries the vehicle:
 # no climb, descent, battery or ground effect doubles the thrust per throttle.
@@ -82,11 +84,12 @@ def _off_ground(recording: Recording, start: float, end: float) -> tuple[float, 
     if t.size < 10:
         return start, end
     begins, ends = _driven(recording, start, end)
-    first = int(np.argmax(height > _ground(height, (t < begins) & (t >= begins - _ASIDE_S)) + _LOW_M))
-    last = t.size - 1 - int(np.argmax(height[::-1] > _ground(height, (t > ends) & (t <= ends + _ASIDE_S)) + _LOW_M))
-    if first > 0 and _still(recording, t[0], t[max(first // 2, 1)]):
+    before, after = (t < begins) & (t >= begins - _ASIDE_S), (t > ends) & (t <= ends + _ASIDE_S)  # idle motors
+    first = int(np.argmax(height > _ground(height, before) + _LOW_M))
+    last = t.size - 1 - int(np.argmax(height[::-1] > _ground(height, after) + _LOW_M))
+    if first > 0 and _still(recording, t[0], t[max(first // 2, 1)], _slow(before)):
         start = float(t[first])
-    if last < t.size - 1 and _still(recording, t[(last + t.size) // 2], t[-1]):
+    if last < t.size - 1 and _still(recording, t[(last + t.size) // 2], t[-1], _slow(after)):
         end = float(t[last])
     return start, end
 
@@ -96,10 +99,15 @@ def _ground(height: FloatArray, idle: NDArray[np.bool_]) -> float:
     return float(np.median(height[idle]) if idle.any() else np.min(height))
 
 
-def _still(recording: Recording, start: float, end: float, name: str = "v_x_m_s") -> bool:
+def _slow(idle: NDArray[np.bool_]) -> float:
+    """Speed below which the vehicle stands, m/s, where idle motors show that it does not fly, or nothing does."""
+    return _STANDS_M_S if idle.any() else _STILL_M_S
+
+
+def _still(recording: Recording, start: float, end: float, slower_m_s: float, name: str = "v_x_m_s") -> bool:
     t, v = recording.channel(name)
     inside = (t >= start) & (t <= end) & np.isfinite(v)
-    return bool(inside.any()) and float(np.median(np.abs(v[inside]))) < _STILL_M_S
+    return bool(inside.any()) and float(np.median(np.abs(v[inside]))) < slower_m_s
 
 
 def _landings(recording: Recording, start: float, end: float) -> list[tuple[float, float]]:
@@ -179,7 +187,7 @@ def _joined(stretches: Sequence[tuple[float, float]]) -> list[tuple[float, float
 
 def _at_rest(recording: Recording, start: float, end: float) -> bool:
     if recording.has("v_x_m_s", "v_y_m_s", "v_z_m_s"):
-        return all(_still(recording, start, end, name) for name in ("v_x_m_s", "v_y_m_s", "v_z_m_s"))
+        return all(_still(recording, start, end, _STANDS_M_S, v) for v in ("v_x_m_s", "v_y_m_s", "v_z_m_s"))
     t, force = _known_force(recording)
     inside = (t >= start) & (t <= end)  # none: no evidence that it stood
     return bool(inside.any()) and abs(float(np.median(force[inside])) - _weight(recording)) < _RESTS_M_S2
