@@ -40,7 +40,7 @@ def import_log(
     vehicle: AnyPath | None = None,
     progress: ProgressLike | None = None,
 ) -> Imported:
-    """Bring a log into a run folder: .BIN, .tlog, .ulg, .csv or .parquet. vehicle: vehicle.yaml whose components and zone join it.
+    """Bring a log into a run folder: .BIN, .log, .tlog, .ulg, .csv or .parquet. vehicle: vehicle.yaml whose components and zone join it.
 
     InputError where the folder holds something else already.
     """

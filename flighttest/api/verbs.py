@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
-    """Read a run folder or a log (.BIN, .tlog, .ulg, .csv, .parquet, .mat, .mcap, packed or not).
+    """Read a run folder or a log (.BIN, .log, .tlog, .ulg, .csv, .parquet, .mat, .mcap, packed or not).
 
     columns: column map (columns/1) of a foreign table. The recording has channels by name in SI, world North-West-Up, body
     Forward-Left-Up, each group on its own times (n,); `to_frame` and `plot` show them. RecordingError: what is wrong with the file.

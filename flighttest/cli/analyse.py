@@ -30,7 +30,7 @@ COLUMNS = click.option("--columns", type=FILE, help="Column map (columns/1) for 
 @click.option("-o", "--output", type=FOLDER, required=True, metavar="RUN", help="Run folder to write.")
 @click.option("--vehicle", type=FILE, help="vehicle.yaml whose components and zone join the recording.")
 def import_(context: Context, log: Path, columns: Path | None, output: Path, vehicle: Path | None) -> int:
-    """Bring a log into a run folder: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap."""
+    """Bring a log into a run folder: .BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap."""
     with LiveProgress(context.show) as progress:
         answer = ft.import_log(log, output, columns=columns, vehicle=vehicle, progress=progress)
     return context.finish(answer)

@@ -23,8 +23,8 @@ _TABLES = {".csv", ".parquet", ".txt", ".tsv", ".mat", ".mcap"}
 def import_log(path: Path | str, columns: Path | str | None = None) -> Recording:
     """Read a log of any known kind, plain or compressed (.gz, .xz).
 
-    path: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap; what it is, is recognised by its first bytes, then from its name. columns: a
-    column map (columns/1) for foreign tables. RecordingError: what cannot be used, where, and what to do.
+    path: .BIN (or its text, .log), .tlog, .ulg, .csv, .parquet, .mat or .mcap; what it is, is recognised by its first bytes, then from its
+    name. columns: a column map (columns/1) for foreign tables. RecordingError: what cannot be used, where, and what to do.
     """
     # A damaged float may be a signalling NaN or overflow where it is cast: it becomes NaN, or is found impossible.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -71,7 +71,7 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
             f"{path}: named {claimed}, but its content is not compressed that way",
             "rename it, or copy or download it anew",
         )
-    if head[:3] == b"\xa3\x95\x80" or (suffix == ".bin" and b"\xa3\x95" in head):
+    if head[:3] == b"\xa3\x95\x80" or head[:4] == b"FMT," or (suffix == ".bin" and b"\xa3\x95" in head):
         from flighttest.logs.ardupilot.importer import import_ardupilot_bin
 
         return import_ardupilot_bin(path)
@@ -98,5 +98,6 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
             "a model is given with --model, a vehicle with --vehicle, a column map with --columns",
         )
     raise RecordingError(
-        f"{path} is not a kind of log that can be read", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
+        f"{path} is not a kind of log that can be read",
+        "give a .BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap file",
     )

@@ -40,7 +40,7 @@ class LogFile:
             raise RecordingError(f"{path}: no such file", "check the path")
         if path.is_dir():
             raise RecordingError(
-                f"{path} is a folder, not a log", "name a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
+                f"{path} is a folder, not a log", "name a .BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
             )
 
     @property

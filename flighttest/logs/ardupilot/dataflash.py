@@ -126,7 +126,7 @@ class _Reader:
     def _learn(self, buffer: NDArray[np.uint8], hits: NDArray[np.int64]) -> None:
         for hit in hits:
             message = buffer[hit : hit + _FMT_BYTES].tobytes()
-            format = _parse_format(message) if len(message) == _FMT_BYTES else None
+            format = parse_format(message) if len(message) == _FMT_BYTES else None
             if format is None:
                 continue
             known = self.formats.get(format.type)
@@ -257,7 +257,7 @@ def stack(table: MessageTable, *names: str) -> NDArray[np.float64]:
     return np.stack([table.get(name) for name in names], axis=-1)
 
 
-def _parse_format(message: bytes) -> Format | None:
+def parse_format(message: bytes) -> Format | None:
     """The layout an FMT message declares; None where it contradicts itself (damaged, or not an FMT at all)."""
     kind, length = message[3], message[4]
     try:

@@ -109,7 +109,8 @@ def _without_zeros(file: LogFile, text: str) -> tuple[str, int]:
     good = [line for line in lines if "\0" not in line]
     if len(good) < 0.5 * len(lines) or "\0" in lines[0]:
         raise RecordingError(
-            f"{file.path}: this is not a text table", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
+            f"{file.path}: this is not a text table",
+            "give a .BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap file",
         )
     return "\n".join(good), len(lines) - len(good)
 

@@ -157,7 +157,7 @@ def import_log(
     if not log.exists():
         raise InputError(
             f"{log}: there is no such file",
-            "name a log that exists: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap, as it is or packed",
+            "name a log that exists: .BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap, as it is or packed",
         )
     if log.is_dir():
         raise InputError(f"{log} is a folder", "name the log file; a run folder needs no import")
