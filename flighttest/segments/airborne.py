@@ -73,6 +73,16 @@ def _driven(recording: Recording, start: float, end: float) -> tuple[float, floa
     return (float(on[0]), float(on[-1])) if on.size > 1 else (start, end)
 
 
+def _idle(recording: Recording, start: float, end: float, t: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which of t (n,) are at most a second before the motors are driven, and after, with a throttle recorded that is idle."""
+    if not recording.has("throttle"):
+        return np.zeros(t.size, dtype=bool), np.zeros(t.size, dtype=bool)
+    begins, ends = _driven(recording, start, end)
+    known, _ = recording.channel("throttle")
+    before = (t < begins) & (t >= max(begins - _ASIDE_S, known[0]))
+    return before, (t > ends) & (t <= min(ends + _ASIDE_S, known[-1]))
+
+
 def _off_ground(recording: Recording, start: float, end: float) -> tuple[float, float]:
     """Without the stretches at both ends in which the vehicle stands: no higher than a hand above where it was with idle motors just before
     and after, or above its lowest where motors are driven to the end."""
@@ -83,8 +93,7 @@ def _off_ground(recording: Recording, start: float, end: float) -> tuple[float, 
     t, height = t[inside], height[inside]
     if t.size < 10:
         return start, end
-    begins, ends = _driven(recording, start, end)
-    before, after = (t < begins) & (t >= begins - _ASIDE_S), (t > ends) & (t <= ends + _ASIDE_S)  # idle motors
+    before, after = _idle(recording, start, end, t)
     first = int(np.argmax(height > _ground(height, before) + _LOW_M))
     last = t.size - 1 - int(np.argmax(height[::-1] > _ground(height, after) + _LOW_M))
     if first > 0 and _still(recording, t[0], t[max(first // 2, 1)], _slow(before)):

@@ -76,3 +76,18 @@ def test_what_stands_does_not_fly_though_its_estimates_drift(drift, slides_m_s):
     }
     flown = flights(Recording("made", series, (), Provenance("made", "table")))
     assert flown == pytest.approx(np.array([(10.15, 19.85), (36.15, 51.85)]), abs=0.06)
+
+
+def test_a_throttle_that_is_recorded_from_the_first_command_on_says_nothing_of_the_floor():
+    """Of a flight whose commands begin at 5 m, the height before them was taken for the floor, and half a second of flight was lost."""
+    t = np.arange(0.0, 60.0, 0.05)
+    later = t[t >= 20.0]
+    series = {
+        "reference": Series(later, {"throttle": np.where(later < 53.0, 0.5, 0.0)}),
+        "height": Series(
+            t, {"height_m": np.interp(t, [10.0, 12.0, 22.0, 24.0, 50.0, 52.0], [0.0, 5.0, 5.0, 9.0, 9.0, 0.0])}
+        ),
+        "velocity": Series(t, {f"v_{axis}_m_s": np.zeros(t.size) for axis in "xyz"}),
+    }
+    (flown,) = flights(Recording("made", series, (), Provenance("made", "table")))
+    assert flown[0] == pytest.approx(20.0, abs=0.06)
