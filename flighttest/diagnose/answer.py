@@ -113,9 +113,8 @@ def error_left(answers: Sequence[PartAnswer]) -> tuple[float, str]:
     if worst is not None and worst.share > EXPLAINED_SHARE:
         return worst.share, f"{worst.error} in {', '.join(channel_words(c) for c in sorted(worst.staying))}"
     kinds = {a.error for a in answers if a.shares}
-    return float(np.mean(listed(answers, "shares") or [0.0])), "error" if len(kinds) > 1 else next(
-        iter(kinds), ABOVE_FLOOR
-    )
+    error = "error" if len(kinds) > 1 else next(iter(kinds), ABOVE_FLOOR)
+    return float(np.mean(listed(answers, "shares") or [0.0])), error
 
 
 def merged(tables: Iterable[Mapping[str, V]]) -> dict[str, V]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from flighttest.channels import CHANNELS
 from flighttest.errors import RecordingError
-from flighttest.logs.opening import LogFile
+from flighttest.logs.ardupilot.dataflash import TEXT_HEADER
+from flighttest.logs.opening import KINDS, LogFile
 from flighttest.logs.tables.ros_bag import MAGIC, SQLITE
 from flighttest.recording import Recording, Series
 
@@ -71,7 +72,7 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
             f"{path}: named {claimed}, but its content is not compressed that way",
             "rename it, or copy or download it anew",
         )
-    if head[:3] == b"\xa3\x95\x80" or head[:4] == b"FMT," or (suffix == ".bin" and b"\xa3\x95" in head):
+    if head[:3] == b"\xa3\x95\x80" or head.startswith(TEXT_HEADER) or (suffix == ".bin" and b"\xa3\x95" in head):
         from flighttest.logs.ardupilot.importer import import_ardupilot_bin
 
         return import_ardupilot_bin(path)
@@ -99,5 +100,5 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
         )
     raise RecordingError(
         f"{path} is not a kind of log that can be read",
-        "give a .BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap file",
+        f"give a {KINDS} file",
     )

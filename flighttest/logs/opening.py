@@ -12,6 +12,7 @@ from typing import IO
 
 from flighttest.errors import RecordingError
 
+KINDS = ".BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap"  # in messages
 PIECE_BYTES = 16 << 20
 # A log takes a third to a thirtieth of its size when compressed; what unpacks to more than this is made to fill a memory.
 UNPACKED_TIMES, UNPACKED_BYTES = 100, 64 << 20
@@ -39,9 +40,7 @@ class LogFile:
         if not path.exists():
             raise RecordingError(f"{path}: no such file", "check the path")
         if path.is_dir():
-            raise RecordingError(
-                f"{path} is a folder, not a log", "name a .BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
-            )
+            raise RecordingError(f"{path} is a folder, not a log", f"name a {KINDS} file")
 
     @property
     def suffix(self) -> str:

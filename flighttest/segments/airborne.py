@@ -84,8 +84,8 @@ def _idle(recording: Recording, start: float, end: float, t: FloatArray) -> tupl
 
 
 def _off_ground(recording: Recording, start: float, end: float) -> tuple[float, float]:
-    """Without the stretches at both ends in which the vehicle stands: no higher than a hand above where it was with idle motors just before
-    and after, or above its lowest where motors are driven to the end."""
+    """Without the stretches at both ends in which the vehicle stands: at most `_LOW_M` above where it was with idle motors just before and
+    after, or above its lowest where motors are driven to the end."""
     if not recording.has("height_m", "v_x_m_s"):
         return start, end
     t, height = recording.channel("height_m")

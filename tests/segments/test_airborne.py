@@ -91,3 +91,18 @@ def test_a_throttle_that_is_recorded_from_the_first_command_on_says_nothing_of_t
     }
     (flown,) = flights(Recording("made", series, (), Provenance("made", "table")))
     assert flown[0] == pytest.approx(20.0, abs=0.06)
+
+
+@pytest.mark.parametrize("thrown_m_s", [0.0, 6.0])
+def test_what_falls_with_idle_motors_flies(thrown_m_s):
+    """From rest its speed is 5.9 m/s in the median; thrown upwards so that it comes back as fast, 3.0."""
+    t = np.arange(0.0, 60.0, 0.05)
+    falls = (t >= 20.0) & (t < 21.2)
+    series = {
+        "reference": Series(t, {"throttle": np.where(falls, 0.0, 0.5)}),
+        "velocity": Series(
+            t,
+            {"v_x_m_s": 0.0 * t, "v_y_m_s": 0.0 * t, "v_z_m_s": np.where(falls, thrown_m_s - G_M_S2 * (t - 20.0), 0.0)},
+        ),
+    }
+    assert spans(Recording("made", series, (), Provenance("made", "table"))) == [(0, 60)]

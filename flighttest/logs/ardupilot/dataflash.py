@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 HEADER = b"\xa3\x95"
+TEXT_HEADER = b"FMT,"  # of a log written out as text
 _HEADER_BYTES = 3
 _FMT_TYPE = 128
 _FMT_BYTES = 89

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from flighttest import frames
 from flighttest.errors import RecordingError
-from flighttest.logs.ardupilot.dataflash import Dataflash, MessageTable, read_dataflash, stack
+from flighttest.logs.ardupilot.dataflash import TEXT_HEADER, Dataflash, MessageTable, read_dataflash, stack
 from flighttest.logs.ardupilot.notes import board, firmware, logged_parameters, markers, parameter_changes, state
 from flighttest.logs.ardupilot.targets import Targets
-from flighttest.logs.ardupilot.text_log import FIRST, messages
+from flighttest.logs.ardupilot.text_log import messages
 from flighttest.logs.ardupilot.times import Stamped, Times
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.timing import ordered
@@ -78,7 +78,7 @@ _GPS_3D = 3
 def import_ardupilot_bin(path: Path) -> Recording:
     """Read a dataflash log (plain, .gz or .xz, or as text) of ArduCopter 3.2 to 4.7. RecordingError where it holds no flight."""
     file = LogFile(path)
-    log = read_dataflash(messages(file.pieces()) if file.head().startswith(FIRST) else file.pieces(), WANTED)
+    log = read_dataflash(messages(file.pieces()) if file.head().startswith(TEXT_HEADER) else file.pieces(), WANTED)
     if not log.formats:
         raise RecordingError(
             f"{path}: no dataflash message was found in {log.size} bytes", "is this a .BIN log of ArduPilot?"

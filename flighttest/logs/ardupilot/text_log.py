@@ -10,7 +10,6 @@ from pymavlink.mavutil import mode_mapping_acm
 
 from flighttest.logs.ardupilot.dataflash import HEADER, Format, parse_format
 
-FIRST = b"FMT,"
 _LINES = 10_000  # that are given at once
 _MODES = {name: number for number, name in mode_mapping_acm.items()}
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from flighttest.datafiles import MOST_VALUES
 from flighttest.errors import RecordingError
-from flighttest.logs.opening import LogFile
+from flighttest.logs.opening import KINDS, LogFile
 from flighttest.logs.tables.sheet import Sheet
 
 CRAZYFLIE_MAGIC = 0xBC
@@ -110,7 +110,7 @@ def _without_zeros(file: LogFile, text: str) -> tuple[str, int]:
     if len(good) < 0.5 * len(lines) or "\0" in lines[0]:
         raise RecordingError(
             f"{file.path}: this is not a text table",
-            "give a .BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap file",
+            f"give a {KINDS} file",
         )
     return "\n".join(good), len(lines) - len(good)
 

@@ -13,6 +13,7 @@ from typing import cast
 
 from flighttest.errors import InputError, LinkError, RecordingError
 from flighttest.logs import import_log as read_log
+from flighttest.logs.opening import KINDS
 from flighttest.logs.tables.columns import load_columns
 from flighttest.pipeline.recordings.time_budget import time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
@@ -157,7 +158,7 @@ def import_log(
     if not log.exists():
         raise InputError(
             f"{log}: there is no such file",
-            "name a log that exists: .BIN, .log, .tlog, .ulg, .csv, .parquet, .mat or .mcap, as it is or packed",
+            f"name a log that exists: {KINDS}, as it is or packed",
         )
     if log.is_dir():
         raise InputError(f"{log} is a folder", "name the log file; a run folder needs no import")
