@@ -25,7 +25,7 @@ from flighttest.diagnose.records import (
 )
 from flighttest.diagnose.step_error import StepError
 from flighttest.identify.fit import Fit
-from flighttest.identify.free_flight.estimate import HeldEstimate
+from flighttest.identify.free_flight.estimated import HeldEstimate
 from flighttest.identify.free_flight.winds import FlightWind
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model

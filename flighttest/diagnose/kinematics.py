@@ -20,7 +20,7 @@ from flighttest.diagnose.model import Finding, Located, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS, CandidateRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.comparison import level_of, probability_of
 from flighttest.estimation.uncertainty.distributions import fisher_beyond, fisher_quantile
-from flighttest.identify.free_flight.estimate import HeldEstimate
+from flighttest.identify.free_flight.estimated import HeldEstimate
 from flighttest.physics.blocks import FORCE, VELOCITY
 from flighttest.physics.core import Term
 from flighttest.physics.terms.sensor import accelerometer_bias, velocity_latency

@@ -29,7 +29,7 @@ from flighttest.diagnose.records import (
 )
 from flighttest.diagnose.step_error import StepError
 from flighttest.identify.fit import Fit
-from flighttest.identify.free_flight.estimate import HeldEstimate
+from flighttest.identify.free_flight.estimated import HeldEstimate
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
 from flighttest.script.model import ScriptData

@@ -48,6 +48,11 @@ class Port(Enum):
         return str(self.value[2])
 
 
+PRIOR_SIZES = (
+    3.0  # prior standard deviation of a linear coefficient, in nominal sizes: effects of a tenth to three sizes fly
+)
+
+
 @dataclass(frozen=True)
 class Param:
     """One parameter of a term.
@@ -59,7 +64,8 @@ class Param:
     rises cannot: what does that is thrust). limits: what it is a limit of, 'throttle' or 'tilt_rate' (what the angle loops ask for): a
     limit that was not reached cannot be known. natural_bound: the bound at which the term is still itself, in its limit (a time
     constant too short, or too long, to be seen); at any other its estimate is not what its name means. drift: standard deviation of what
-    instruments have of it in any flight, which no recording distinguishes from more of the same.
+    instruments have of it in any flight, which no recording distinguishes from more of the same. spread: standard deviation of the prior of
+    a coefficient that vehicles differ in by more than `PRIOR_SIZES` nominal sizes.
     """
 
     name: str
@@ -79,6 +85,12 @@ class Param:
     limits: Literal["", "throttle", "tilt_rate"] = ""
     natural_bound: Literal["", "lower", "upper"] = ""
     drift: float = 0.0
+    spread: float = 0.0
+
+    @property
+    def prior_std(self) -> float:
+        """Of the normal prior of a linear coefficient about `off`."""
+        return self.spread or PRIOR_SIZES * max(abs(self.nominal - (self.off or 0.0)), 1e-12)
 
     @property
     def physical(self) -> tuple[float, float]:

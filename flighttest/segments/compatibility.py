@@ -163,9 +163,12 @@ def _solved(
     return Compatibility(*v, *f, *scale, len(made), tuple(errors.values()), _bias(stretches, found)), errors
 
 
-def _bias(stretches: Sequence[_Stretch], found: FloatArray) -> AccelerometerBias:
-    """Of the trends that are left beside stamps and scale (3,)."""
+def _bias(stretches: Sequence[_Stretch], found: FloatArray) -> AccelerometerBias | None:
+    """Of the trends that are left beside stamps and scale (3,). None of three stretches: their scores add up to zero, and two that are
+    independent give no covariance of three biases."""
     turned = np.stack([s.turned for s in stretches])
+    if len(stretches) <= turned.shape[-1]:
+        return None
     asked = -np.stack([s.trends[0] - found @ s.trends[1:] for s in stretches])
     gram, moment = np.matmul(turned.transpose(0, 2, 1), turned), np.einsum("sij,si->sj", turned, asked)
     whole, target, count = gram.sum(axis=0), moment.sum(axis=0), len(stretches)

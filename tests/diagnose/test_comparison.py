@@ -42,7 +42,9 @@ NOISE = Noise({"f_z_m_s2": 1.0}, {})
 
 def fitted(y, columns, names, model=None, values=None):
     """A linear model at its least squares optimum, far from all bounds where no model is given."""
-    anywhere = {n: SimpleNamespace(name=n, lower=-np.inf, upper=np.inf, nominal=1e3, off=None) for n in names}
+    anywhere = {
+        n: SimpleNamespace(name=n, lower=-np.inf, upper=np.inf, nominal=1e3, off=None, prior_std=3e3) for n in names
+    }
     model = model or SimpleNamespace(param=anywhere)
     step = np.linalg.lstsq(columns, y, rcond=None)[0]
     rows = rows_of(y - columns @ step, columns, SEGMENTS, names=names)

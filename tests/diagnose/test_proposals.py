@@ -18,7 +18,7 @@ N, FLOOR = 1000, 0.5
 def candidate(name, columns, nominal=1e3, shapes=()):
     columns = np.asarray(columns, dtype=float).reshape(len(columns), -1)
     names = tuple(f"{name}{k}" for k in range(columns.shape[1]))
-    params = tuple(SimpleNamespace(name=n, nominal=nominal, off=0.0) for n in names)
+    params = tuple(SimpleNamespace(name=n, nominal=nominal, off=0.0, prior_std=3.0 * abs(nominal)) for n in names)
     return Candidate(SimpleNamespace(id=name, params=params, shapes=shapes), {}, names, columns, lambda: columns)
 
 

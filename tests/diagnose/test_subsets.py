@@ -19,7 +19,7 @@ N = 60
 
 
 def param(name, nominal=1.0, one_sided=False):
-    return SimpleNamespace(name=name, nominal=nominal, off=0.0, one_sided=one_sided)
+    return SimpleNamespace(name=name, nominal=nominal, off=0.0, one_sided=one_sided, prior_std=3.0 * abs(nominal))
 
 
 def candidate(name, columns, shape=None, family="propulsion", **how):

@@ -170,6 +170,15 @@ def test_a_bias_of_the_accelerometer_is_found_in_its_own_axes(late_s):
     assert left < 0.5 * recorded
 
 
+@pytest.mark.parametrize(("seconds", "known"), [(13.0, False), (17.0, True)])
+def test_three_stretches_have_no_covariance_of_three_biases(seconds, known):
+    """A flight of 16 s ended in a singular matrix."""
+    found = compatibility(flight(tilt=0.02), [(0.0, seconds)], CUTOFF_HZ)
+    assert (found.bias is not None) is known
+    if known:
+        assert np.linalg.matrix_rank(found.bias.covariance) == 3
+
+
 def test_the_error_of_a_bias_is_what_stretches_differ_by():
     """Of a bias that changes from one stretch to the next: the mean of n has the error of one over the root of n."""
     groups, own = flight(tilt=0.02), 0.3 * np.random.default_rng(3).standard_normal(15)

@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
@@ -32,7 +33,7 @@ from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.uncertainty.distributions import chi2_beyond, fisher_beyond
 from flighttest.identify.free_flight import FreeFlight, estimate
 from flighttest.identify.free_flight.equations import Equations
-from flighttest.identify.free_flight.estimate import determined
+from flighttest.identify.free_flight.estimate import covariance_at, determined
 from flighttest.identify.free_flight.translation import LATENCY
 from flighttest.identify.free_flight.winds import (
     BESIDE_WIND,
@@ -49,6 +50,8 @@ from flighttest.identify.free_flight.winds import (
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
 
 PART_IN_WORDS = {"translation": "translation", "roll_pitch": "roll and pitch loops", "yaw": "yaw rate loop"}
 TRIED = 4  # of the most significant terms are estimated anew in each step
@@ -149,6 +152,10 @@ class _Asked:
         free, own = determined(self.flown, model), WIND if WIND_TERM in model.terms else ()
         return estimate(self.flown, model, part=self.part, start=start, free=free, per_flight=own, priors=self.priors)
 
+    def covariance_at(self, found: FreeFlight, null: Mapping[str, float]) -> FloatArray:
+        free, own = determined(self.flown, found.model), WIND if WIND_TERM in found.model.terms else ()
+        return covariance_at(self.flown, found, null, free=free, per_flight=own, priors=self.priors)
+
     def streams(self, found: FreeFlight) -> list[Stream]:
         names = list(dict.fromkeys(n.split("@")[0] for n in found.names))
         own = tuple(n for n in names if n not in found.names)
@@ -162,8 +169,10 @@ def coefficients_of(found: FreeFlight, term: Term) -> list[int]:
     return [i for i, n in enumerate(found.names) if n.split("@")[0] in own]
 
 
-def wald(found: FreeFlight, term: Term) -> float:
-    """p-value of a term's linear coefficients against their null values, by the robust covariance; 1 where it has none.
+def wald(found: FreeFlight, term: Term, asked: _Asked) -> float:
+    """p-value of a term's linear coefficients against their null values, by the robust covariance of a test (`covariance_at`), times the
+    number of settings that its nonlinear parameters were chosen from (Bonferroni: they mean nothing where the term is not, Davies 1977);
+    1 where it has no linear coefficients.
 
     Whether a term is there in these flights is asked as of a single one, by what blocks of flight differ by. What flights differ in beyond
     that makes its value uncertain and not its presence: three tunnel flights with a moment of 1.8, 2.5 and 2.7 rad/(s m), each with p below
@@ -174,12 +183,12 @@ def wald(found: FreeFlight, term: Term) -> float:
     at = coefficients_of(found, term)
     null = {p.name: null_value(p) for p in term.amplitudes}
     off = np.array([found.values[found.names[i]] - null[found.names[i].split("@")[0]] for i in at])
-    covariance = (found.covariance - found.between)[np.ix_(at, at)]
+    covariance = asked.covariance_at(found, null)[np.ix_(at, at)]
     if not at or not np.isfinite(covariance).all():
         return 1.0
     dof = float(max(found.blocks - len(found.names), 2))
     statistic = float(off @ np.linalg.pinv(covariance) @ off) / len(at)
-    return fisher_beyond(statistic, len(at), dof)
+    return min(1.0, len(settings(term, asked.flown)) * fisher_beyond(statistic, len(at), dof))
 
 
 def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str, float]:
@@ -194,13 +203,12 @@ def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str,
     return {c: float(np.sqrt(total / max(count, 1.0))) for c, (total, count) in squares.items()}
 
 
-def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, flown: Sequence[Segment]) -> float:
-    """p-value of a term: of its linear coefficients (`wald`); where it has none, of the quasi-likelihood ratio times the number of settings
-    that the best was chosen from (Bonferroni), since a nonlinear parameter means nothing where its term is not (Davies 1977)."""
+def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, asked: _Asked) -> float:
+    """p-value of a term: of its linear coefficients (`wald`); where it has none, of the quasi-likelihood ratio times its settings."""
     if term.amplitudes:
-        return wald(richer, term)
+        return wald(richer, term, asked)
     ratio = 2.0 * max(richer.log_likelihood - poorer.log_likelihood, 0.0) / richer.inflation
-    return min(1.0, len(settings(term, flown)) * chi2_beyond(ratio, len(term.params)))
+    return min(1.0, len(settings(term, asked.flown)) * chi2_beyond(ratio, len(term.params)))
 
 
 def _score(found: FreeFlight, richest: FreeFlight) -> float:
@@ -244,7 +252,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term])
     found.final = tried
     found.named[WIND_TERM] = NamedByEquations(WIND_TERM, nats, p_value, effect_sizes(asked.streams(calm), streams))
     for one in beside:
-        p = wald(tried, known[one])
+        p = wald(tried, known[one], asked)
         if p >= level_of(len(known)):
             continue
         smaller = asked.estimate(tried.model.without_terms(one), _shared(tried.values))
@@ -290,7 +298,7 @@ def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progr
     before = asked.streams(now) if tried else []
     for k, (nats, s, one) in enumerate(tried):
         term = known[s.term]
-        size, p_value = effect_sizes(before, asked.streams(one)), significance(one, now, term, asked.flown)
+        size, p_value = effect_sizes(before, asked.streams(one)), significance(one, now, term, asked)
         # Alone it takes up whatever tilts the vehicle: a wind is named beside what looks like it (`_wind_first`), or not at all.
         trial = _Trial(term, now, one, nats, p_value, size)
         why = NOT_BESIDE if s.term == WIND_TERM else _against(trial, asked, len(known))
@@ -350,7 +358,7 @@ def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             gone = []
         else:
-            gone = [name] if known[name].amplitudes and wald(found.final, known[name]) > STAYS else []
+            gone = [name] if known[name].amplitudes and wald(found.final, known[name], asked) > STAYS else []
         if not gone:
             continue
         smaller = found.final.model.without_terms(*gone)

@@ -15,9 +15,6 @@ from flighttest.estimation.linearisation import FloatArray, Linearisation, Optim
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 
-PRIOR_SIZES = (
-    3.0  # prior standard deviation of a linear coefficient, in usual sizes: effects of a tenth to three sizes fly
-)
 _FORCES, _VELOCITIES = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), ("v_x_m_s", "v_y_m_s", "v_z_m_s")
 _OF_INSTRUMENTS = ("sensor", "link")  # families of terms that are no forces
 DIFFERENCE_STD = 0.4  # of the multiple of a finite difference, about 1: grid values are up to half an octave off
@@ -54,7 +51,7 @@ class Candidate:
         """(q,)."""
         if not self.names:
             return np.array([DIFFERENCE_STD])
-        return np.array([PRIOR_SIZES * max(abs(usual_size(p)), 1e-12) for p in self.params])
+        return np.array([p.prior_std for p in self.params])
 
     @property
     def side(self) -> FloatArray:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
-from flighttest.diagnose.selection.candidates import PRIOR_SIZES, usual_size
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.identify.validation.validate import HORIZONS_S
 from flighttest.physics.core import Param
@@ -69,7 +68,7 @@ class ParameterPrior:
         """params: those that are estimated, in the order of the columns."""
         least = np.array([min(p.lower - values[p.name], 0.0) for p in params])
         most = np.array([max(p.upper - values[p.name], 0.0) for p in params])
-        return cls(least, most, np.array([PRIOR_SIZES * max(abs(usual_size(p)), 1e-12) for p in params]))
+        return cls(least, most, np.array([p.prior_std for p in params]))
 
     def without_each_fold(self, columns: FloatArray, residual: FloatArray, fold_of_row: IntArray) -> Iterator[Fold]:
         """What the rows of all other folds say of the parameters, fold by fold.

@@ -14,7 +14,8 @@ from flighttest.estimation.solver import Start, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
 from flighttest.identify.diagnostics.identifiability import Estimated, judge
 from flighttest.identify.fit import Estimate, Fit, fit, has_attitude_references
-from flighttest.identify.free_flight.estimate import HeldEstimate, determined, estimate
+from flighttest.identify.free_flight.estimate import determined, estimate
+from flighttest.identify.free_flight.estimated import HeldEstimate
 from flighttest.identify.free_flight.stretches import stretches
 from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model

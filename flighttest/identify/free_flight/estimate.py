@@ -16,14 +16,14 @@ driven by the past alone: by commands, which act after a delay, and by the veloc
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError
 from flighttest.estimation.equation_error import (
-    Autoregression,
     Stream,
     block_rows,
     heterogeneity,
@@ -34,23 +34,20 @@ from flighttest.estimation.equation_error import (
     whiten,
 )
 from flighttest.estimation.gauss_newton import MAX_ITERATIONS, Minimum, Space, minimise
-from flighttest.estimation.uncertainty.covariance import interval_factor
 from flighttest.identify.dead_time import thrust_gain
 from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight.equations import Equations
-from flighttest.identify.free_flight.stretches import chunk, stretches
+from flighttest.identify.free_flight.estimated import FreeFlight
+from flighttest.identify.free_flight.stretches import chunk
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
-
-__all__ = ["FreeFlight", "estimate", "stretches"]
 
 FloatArray = NDArray[np.float64]
 
 SETTLED = (
     0.01  # relative change of the innovations' standard deviation, by which log likelihoods move a nat in 100 samples
 )
-PRIOR_SIZES = 3.0  # as of the candidates of a diagnosis: prior standard deviation in usual sizes
 ALPHA_STD = 0.5  # motors on a battery have 1 to 2
 DELAYS_S = (0.02, 0.08, 0.2)
 # Lags and delays that local optima are looked for from, by part of the model.
@@ -70,66 +67,6 @@ FIRST_ITERATIONS = 6
 LEANS = 0.7  # of its prior's standard deviation: a parameter with a larger error was not determined by the flight
 
 
-@dataclass(frozen=True)
-class HeldEstimate:
-    """Parameters that a fit by output error takes as they are. values: by name; covariance (q, q) in the order of `names`; dof: degrees of
-    freedom of its intervals; assumed: names whose error is mostly a prior's."""
-
-    names: tuple[str, ...]
-    values: Mapping[str, float]
-    covariance: FloatArray
-    dof: float
-    assumed: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True)
-class FreeFlight:
-    """What free flight shows of one part of the model: its translation, or its attitude loops.
-
-    values: parameters by name, those of one flight as `name@flight`; std: standard errors of the estimated ones, robust over 1 to 5 s;
-    covariance (q, q) in the order of `names`; between (q, q): what of it flights differ by; noise: spectrum of what is left, per channel;
-    rms: per channel of the residual, SI units; seconds: of flight used; priors: names whose error is mostly the prior's; spread: by name of
-    a shared parameter, the standard deviation by which flights differ in it beyond their errors; inflation: median ratio of the robust
-    variances to those of the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson
-    2002, section 2.5); blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between the samples
-    of the residual.
-    """
-
-    model: Model
-    names: tuple[str, ...]
-    values: Mapping[str, float]
-    covariance: FloatArray
-    between: FloatArray
-    noise: Mapping[str, Autoregression]
-    rms: Mapping[str, float]
-    seconds: float
-    flights: tuple[str, ...]
-    iterations: int
-    converged: bool
-    log_likelihood: float
-    part: str
-    period_s: float
-    priors: frozenset[str] = frozenset()
-    spread: Mapping[str, float] = field(default_factory=dict)
-    inflation: float = 1.0
-    blocks: int = 0
-
-    @property
-    def held(self) -> HeldEstimate:
-        """The estimate as a fit by output error takes it, with the degrees of freedom of the blocks of its covariance."""
-        dof = float(max(self.blocks - len(self.names), 1))
-        return HeldEstimate(self.names, self.values, self.covariance, dof, self.priors)
-
-    def factor(self, level: float = 0.95) -> float:
-        """Half an interval in standard errors (Student's t)."""
-        return interval_factor(self.held.dof, level)
-
-    @property
-    def std(self) -> dict[str, float]:
-        """Standard error of each estimated parameter."""
-        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-
 def start_of(flown: Sequence[Segment], model: Model) -> dict[str, float]:
     """Start values: K from the ratio of force to throttle, drag nominal, lag and delay of usual motors, else as of a model."""
     values = model.start()
@@ -144,7 +81,7 @@ def prior_of(p: Param) -> tuple[float, float]:
     if p.name == "alpha":
         return p.nominal, ALPHA_STD
     if p.kind == "amplitude" and p.off is not None and p.name not in DRAG:
-        return p.off, PRIOR_SIZES * max(abs(p.nominal - p.off), 1e-12)
+        return p.off, p.prior_std
     return p.nominal, np.inf
 
 
@@ -188,6 +125,34 @@ def estimate(
         starts += [starts[0] | usual, _with_lag(flown, asked, known | usual)]
     equations = Equations(model, flown, part)
     return mixture([_minimised(equations, asked, one, MAX_ITERATIONS) for one in starts])
+
+
+def covariance_at(
+    flown: Sequence[Segment],
+    found: FreeFlight,
+    null: Mapping[str, float],
+    *,
+    free: Sequence[str] | None = None,
+    per_flight: Sequence[str] = (),
+    priors: Mapping[str, tuple[float, float]] | None = None,
+) -> FloatArray:
+    """Covariance (q, q) of an estimate in the order of `names`, without what flights differ by, for a test of whether coefficients are at
+    `null` (name to value): with the innovations and the noise of the estimate, and the derivatives where the coefficients are there.
+
+    At the estimate itself a coefficient is one with what it multiplies: a moment of the air acts as M / omega^2, and M of 12 +- 4 beside an
+    omega of 17.5 +- 2.7 rad/s was not significant where log likelihood had grown by 135. What a Wald test says of one depends on how
+    it is written (Gregory and Veall 1985); there where nothing is, it does not. free, per_flight, priors: as `estimate` was given.
+    """
+    objective = _PredictionErrors(
+        Equations(found.model, flown, found.part),
+        _Asked(found.model, found.part, free, tuple(per_flight), dict(priors or {})),
+        found.values,
+    )
+    objective.noise = dict(found.noise)
+    nothing = objective.point(np.array([null.get(c.split("@")[0], found.values[c]) for c in objective.columns]))
+    streams = [replace(s, columns=n.columns) for s, n in zip(objective.first, nothing.streams, strict=True)]
+    known = objective.errors(_Point(np.array([found.values[c] for c in objective.columns]), streams, nothing.finite))
+    return known.covariance - known.between
 
 
 def _with_lag(flown: Sequence[Segment], asked: _Asked, values: Mapping[str, float]) -> dict[str, float]:
@@ -255,6 +220,16 @@ class _Point:
     theta: FloatArray
     streams: Sequence[Stream]
     finite: bool
+
+
+class _Errors(NamedTuple):
+    """covariance, between (q, q), spread (q,), inflation and blocks, as of `FreeFlight`."""
+
+    covariance: FloatArray
+    between: FloatArray
+    spread: FloatArray
+    inflation: float
+    blocks: int
 
 
 class _PredictionErrors:
@@ -336,6 +311,25 @@ class _PredictionErrors:
         """The answer at a minimum, with errors that hold what flights differ by."""
         at = minimum.point
         self.learn(at, minimum.iterations)
+        known = self.errors(at)
+        error = np.sqrt(np.diag(known.covariance))
+        leaning = frozenset(
+            c for c, e, s in zip(self.columns, error, self.std, strict=True) if np.isfinite(s) and e > LEANS * s
+        )
+        channels = dict.fromkeys(s.channel for s in at.streams)
+        every = {c: np.concatenate([s.residual for s in at.streams if s.channel == c]) for c in channels}
+        return FreeFlight(
+            self.asked.model, self.columns, self.values(at.theta), known.covariance, known.between, self.noise,
+            {c: float(np.sqrt(np.mean(r**2))) for c, r in every.items()},
+            float(sum(s.t_s[-1] - s.t_s[0] for s in self.equations.flown)), self.equations.flights, minimum.iterations,
+            minimum.status.good, self.log_likelihood(self.cost(at)), self.asked.part,
+            self.equations.period_s, leaning,
+            {c: float(v) for c, v in zip(self.columns, known.spread, strict=True) if v > 0.0},
+            known.inflation, known.blocks,
+        )  # fmt: skip
+
+    def errors(self, at: _Point) -> _Errors:
+        """Of the parameters at a point, with what flights differ by."""
         rows = whiten(at.streams, self.noise, self.rows)
         made = step(rows, self.mean - at.theta, self.std)
         own = np.array(["@" in c for c in self.columns])
@@ -348,22 +342,8 @@ class _PredictionErrors:
         known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so in the sandwich
         robust = made.robust + known @ wrong @ known
         drift = np.diag([self.asked.model.param[c.split("@")[0]].drift ** 2 for c in self.columns])
-        covariance = robust + extra + drift
-        error = np.sqrt(np.diag(covariance))
-        leaning = frozenset(
-            c for c, e, s in zip(self.columns, error, self.std, strict=True) if np.isfinite(s) and e > LEANS * s
-        )
-        channels = dict.fromkeys(s.channel for s in at.streams)
-        every = {c: np.concatenate([s.residual for s in at.streams if s.channel == c]) for c in channels}
-        return FreeFlight(
-            self.asked.model, self.columns, self.values(at.theta), covariance, extra, self.noise,
-            {c: float(np.sqrt(np.mean(r**2))) for c, r in every.items()},
-            float(sum(s.t_s[-1] - s.t_s[0] for s in self.equations.flown)), self.equations.flights, minimum.iterations,
-            minimum.status.good, self.log_likelihood(self.cost(at)), self.asked.part,
-            self.equations.period_s, leaning,
-            {c: float(v) for c, v in zip(self.columns, spread, strict=True) if v > 0.0},
-            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1,
-        )  # fmt: skip
+        blocks = int(rows.block.max(initial=-1)) + 1
+        return _Errors(robust + extra + drift, extra, spread, _inflation(made.covariance, robust), blocks)
 
 
 def _gram(columns: FloatArray) -> FloatArray:

@@ -15,7 +15,8 @@ import numpy as np
 from flighttest.estimation.responses import relative_thrust
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.frames import G_M_S2, rotation_from_euler
-from flighttest.identify.free_flight.estimate import FreeFlight, estimate
+from flighttest.identify.free_flight.estimate import estimate
+from flighttest.identify.free_flight.estimated import FreeFlight
 from flighttest.identify.free_flight.stretches import stretches
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model

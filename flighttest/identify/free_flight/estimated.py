@@ -1,0 +1,75 @@
+"""What an estimate from free flight shows of one part of the model, and what of it a fit by output error takes as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.estimation.equation_error import Autoregression
+from flighttest.estimation.uncertainty.covariance import interval_factor
+from flighttest.physics.model import Model
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HeldEstimate:
+    """Parameters that a fit by output error takes as they are. values: by name; covariance (q, q) in the order of `names`; dof: degrees of
+    freedom of its intervals; assumed: names whose error is mostly a prior's."""
+
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    covariance: FloatArray
+    dof: float
+    assumed: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class FreeFlight:
+    """What free flight shows of one part of the model: its translation, or its attitude loops.
+
+    values: parameters by name, those of one flight as `name@flight`; std: standard errors of the estimated ones, robust over 1 to 5 s;
+    covariance (q, q) in the order of `names`; between (q, q): what of it flights differ by; noise: spectrum of what is left, per channel;
+    rms: per channel of the residual, SI units; seconds: of flight used; priors: names whose error is mostly the prior's; spread: by name of
+    a shared parameter, the standard deviation by which flights differ in it beyond their errors; inflation: median ratio of the robust
+    variances to those of the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson
+    2002, section 2.5); blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between the samples
+    of the residual.
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    covariance: FloatArray
+    between: FloatArray
+    noise: Mapping[str, Autoregression]
+    rms: Mapping[str, float]
+    seconds: float
+    flights: tuple[str, ...]
+    iterations: int
+    converged: bool
+    log_likelihood: float
+    part: str
+    period_s: float
+    priors: frozenset[str] = frozenset()
+    spread: Mapping[str, float] = field(default_factory=dict)
+    inflation: float = 1.0
+    blocks: int = 0
+
+    @property
+    def held(self) -> HeldEstimate:
+        """The estimate as a fit by output error takes it, with the degrees of freedom of the blocks of its covariance."""
+        dof = float(max(self.blocks - len(self.names), 1))
+        return HeldEstimate(self.names, self.values, self.covariance, dof, self.priors)
+
+    def factor(self, level: float = 0.95) -> float:
+        """Half an interval in standard errors (Student's t)."""
+        return interval_factor(self.held.dof, level)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard error of each estimated parameter."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
