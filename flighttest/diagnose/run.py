@@ -70,11 +70,12 @@ def diagnose(
     to 'still' or 'unknown'. only: ids of the candidates (default: the whole catalogue). FitError when there is too little for any answer.
     An interrupt (KeyboardInterrupt) ends the search and returns what is known, with complete=False.
     """
-    usable = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
+    usable = tuple(s for s in segments if s.usable)
     if len(usable) < LEAST_SEGMENTS:
         raise FitError(
-            f"only {len(usable)} usable responses, at least {LEAST_SEGMENTS} are needed",
-            "fly more steps or a longer flight, or see `flighttest segment` for why responses were rejected",
+            f"too few usable responses: {len(usable)}, at least {LEAST_SEGMENTS} are needed",
+            "fly more steps or a longer flight, give several recordings of the vehicle together, or see `flighttest segment` for why "
+            "responses were rejected",
         )
     if model is None:
         model = default_model(usable)

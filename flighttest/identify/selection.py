@@ -60,10 +60,15 @@ def problem_of(
     fed = {block.name: segments_for(usable, block, select) for block in model.blocks}
     problem = Problem.build(usable, model, fed=fed, values=values, fixed=fixed, ties=ties, dead=dead)
     if not problem.parts:
+        if usable and not any(s.u for s in usable):
+            raise FitError(
+                "neither references nor a throttle were recorded: nothing says what the vehicle was asked for",
+                "log them (ArduPilot: RATE, CTUN; telemetry: ATTITUDE_TARGET), or name their columns in a column map",
+            )
         why = "".join(f"; {one}" for one in (never_changing(dead) if dead else "", refusal(usable)) if one)
         raise FitError(
             f"no usable segment excites any part of the model{why}",
-            "see `flighttest segment` for why each was rejected",
+            "see `flighttest segment` for what was recorded, and why segments were rejected",
         )
     return problem
 

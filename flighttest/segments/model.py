@@ -28,6 +28,7 @@ class Flaw(Enum):
     LINK_LOST = "targets stopped arriving during the response"
     LATE = "a target left more than 0.1 s late during the response"
     TOO_SHORT = "less than 0.3 s was recorded after the step"
+    TOO_FEW = "fewer than eight samples were recorded during the response"
     ABORTED = "the flight was aborted during the response"
     NOT_A_NUMBER = "a recorded channel is not a number for most of the response"
     REFERENCE_MOVED = "another reference moved during the response"

@@ -15,6 +15,7 @@ from flighttest.segments.model import Flaw
 FloatArray = NDArray[np.float64]
 
 SHORTEST_S = 0.3  # after the step: six time constants of the paper's thrust lag
+LEAST_SAMPLES = 8  # of a response: its initial state alone takes up to six
 _BEFORE_S = 0.15
 _RATE_MAX_RAD_S = 0.35  # mean before a tilt step; a vehicle that hovers stays below 0.1
 _ERROR_MAX_RAD = 0.12
@@ -42,8 +43,10 @@ def flaws_of(
 ) -> tuple[Flaw, ...]:
     """The reasons against fitting this response, in the order of `Flaw`. streamed: targets were repeated by a ground station."""
     found: set[Flaw] = set()
-    if response.end_s - response.t_step_s < SHORTEST_S or t_s.size < 5:
+    if response.end_s - response.t_step_s < SHORTEST_S:
         found.add(Flaw.TOO_SHORT)
+    if t_s.size < LEAST_SAMPLES:
+        found.add(Flaw.TOO_FEW)
     found |= _holes(response, t_s, y)
     found |= _events(recording, response)
     if response.kind in ("roll_step", "pitch_step", "yaw_rate_step") and _unrest(references, response, t_s, y):

@@ -245,7 +245,7 @@ def test_accepted_terms_are_in_the_model(windy):
 
 
 def test_too_little_data_is_said():
-    with pytest.raises(FitError, match="only 3 usable responses"):
+    with pytest.raises(FitError, match="too few usable responses: 3, at least 4"):
         diagnose(tilts()[:3])
 
 

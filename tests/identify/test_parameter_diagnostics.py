@@ -98,6 +98,12 @@ def test_constant_columns_are_no_measurement(flown):
         fit([replace(s, kind="free", cell={}) for s in still])
 
 
+def test_flights_without_any_command_are_refused_for_that(flown):
+    """249 windows of a telemetry log without targets and throttle were called segments that were each rejected."""
+    with pytest.raises(FitError, match="neither references nor a throttle were recorded"):
+        fit([replace(s, kind="free", cell={}, u={}) for s in flown])
+
+
 def test_one_filled_in_column_is_left_out_and_said(flown):
     filled = [replace(s, y={**s.y, "v_x_m_s": np.zeros(s.t_s.size)}) for s in flown]
     found = fit(filled)

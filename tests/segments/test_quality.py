@@ -86,3 +86,16 @@ def test_a_record_that_is_too_short(fly, seconds, short):
     flight = fly([hover, step, hover, hover, step, hover, hover, step, (1.0, 0.1, 0.1, 0.0, 0.3)])
     last = [s for s in cut(flight.recording()) if s.cell.get("throttle_1") == 0.4][-1]
     assert (Flaw.TOO_SHORT in last.flaws) == short
+
+
+@pytest.mark.parametrize(("hz", "few"), [(2.5, True), (25.0, False)])
+def test_a_telemetry_log_of_a_few_samples_a_second(fly, hz, few):
+    """Real telemetry of 1 to 2 Hz was said to have "less than 0.3 s recorded after the step"."""
+    hover, step = (1.0, 0.0, 0.0, 0.0, 0.25), (1.0, 0.2, 0.0, 0.0, 0.25)
+    flight = fly([hover, step, hover, step, hover, step, hover])
+    flight.rates = dict.fromkeys(flight.rates, hz)
+    steps = [s for s in cut(flight.recording()) if s.kind == "roll_step"]
+    assert steps
+    for s in steps:
+        assert (Flaw.TOO_FEW in s.flaws) is few
+        assert Flaw.TOO_SHORT not in s.flaws
