@@ -32,6 +32,30 @@ def test_a_crazyflies_sensors_are_read_where_its_controller_was_not_logged():
     assert {raw[n].scale for n in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")} == {both["f_z_m_s2"].scale} == {9.80665}
 
 
+def test_a_state_of_integers_and_the_geometric_controller_are_known():
+    """stabilizer.c: mm, mm/s, ratePitch = -gyro.y in mrad/s; controller_lee.c: rad, rad/s, N."""
+    state = tuple(f"stateEstimateZ.{n}" for n in ("x", "y", "z", "vx", "vy", "vz", "rateRoll", "ratePitch", "rateYaw"))
+    lee = tuple(
+        f"ctrlLee.{n}" for n in ("rpyx", "rpyy", "rpyz", "rpydx", "rpydy", "omegax", "omegay", "omegaz", "thrustSI")
+    )
+    known = crazyflie_map(("timestamp", *state)).columns
+    assert [known[n].scale for n in ("p_z_m", "v_x_m_s", "p_rad_s", "q_rad_s", "r_rad_s")] == [
+        1e-3,
+        1e-3,
+        1e-3,
+        -1e-3,
+        1e-3,
+    ]
+    both = crazyflie_map((*state, *lee)).columns
+    for name in ("roll_rad", "pitch_rad", "yaw_rad", "roll_ref_rad", "pitch_ref_rad", "p_rad_s", "q_rad_s", "r_rad_s"):
+        assert both[name].columns[0].startswith("ctrlLee.")
+        assert both[name].scale == 1.0
+    assert both["throttle"].columns == ("ctrlLee.thrustSI",)
+    older = crazyflie_map((*state, "ctrlLee.thrustSi", "stateEstimate.pitch", "ctrlLee.rpyy")).columns
+    assert older["throttle"].columns == ("ctrlLee.thrustSi",)
+    assert older["pitch_rad"].columns == ("stateEstimate.pitch",)
+
+
 @pytest.mark.parametrize(("share", "said"), [(0.005, False), (0.02, True)])
 def test_a_motor_that_is_asked_for_more_than_it_has_is_said(share, said):
     roll = np.where(np.arange(1000) < 1000 * share, 30000.0, 0.0)

@@ -2,7 +2,9 @@
 
 Source: the Crazyflie firmware's log groups (bitcraze.io, "list of logs"). Angles are in degrees in its legacy body frame, in which pitch
 is positive nose up, as is controller.r_pitch (minus gyro.y), in rad/s; gyro in deg/s and acc in g are in the body frame, z up;
-stateEstimate's accelerations are in g without gravity in the world frame; thrust runs from 0 to 65535.
+stateEstimate's accelerations are in g without gravity in the world frame; thrust runs from 0 to 65535. stateEstimateZ has the same state
+as integers, mm, mm/s and mrad/s, its pitch rate minus gyro.y (stabilizer.c); ctrlLee's angles and rates are in rad and rad/s, FLU, its
+thrust in newtons (controller_lee.c).
 """
 
 from __future__ import annotations
@@ -18,36 +20,51 @@ FloatArray = NDArray[np.float64]
 _DEG = 0.017453292519943295
 _G = 9.80665
 _THRUST = 1.0 / 65535.0
+_MILLI = 1e-3
+_NEWTONS = (
+    1.0 / 0.8
+)  # four motors of 0.2 N, more than any of a Crazyflie give: of a throttle only what it is in proportion to counts
+
+
+def _rates(controller: str, sign: float, gyro: str, lee: str, integers: str, unit: float) -> tuple[ColumnSource, ...]:
+    return (
+        ColumnSource((controller,), sign),
+        ColumnSource((gyro,), _DEG),
+        ColumnSource((lee,)),
+        ColumnSource((integers,), unit),
+    )
+
 
 # The first that was logged.
 _KNOWN: dict[str, tuple[ColumnSource, ...]] = {
     "t_s": (ColumnSource(("timestamp",), 1e-3),),
-    "roll_rad": (ColumnSource(("stateEstimate.roll",), _DEG),),
-    "pitch_rad": (ColumnSource(("stateEstimate.pitch",), -_DEG),),
-    "yaw_rad": (ColumnSource(("stateEstimate.yaw",), _DEG),),
-    "p_rad_s": (ColumnSource(("controller.r_roll",)), ColumnSource(("gyro.x",), _DEG)),
-    "q_rad_s": (ColumnSource(("controller.r_pitch",), -1.0), ColumnSource(("gyro.y",), _DEG)),
-    "r_rad_s": (ColumnSource(("controller.r_yaw",)), ColumnSource(("gyro.z",), _DEG)),
-    "roll_ref_rad": (ColumnSource(("controller.roll",), _DEG),),
-    "pitch_ref_rad": (ColumnSource(("controller.pitch",), -_DEG),),
+    "roll_rad": (ColumnSource(("stateEstimate.roll",), _DEG), ColumnSource(("ctrlLee.rpyx",))),
+    "pitch_rad": (ColumnSource(("stateEstimate.pitch",), -_DEG), ColumnSource(("ctrlLee.rpyy",))),
+    "yaw_rad": (ColumnSource(("stateEstimate.yaw",), _DEG), ColumnSource(("ctrlLee.rpyz",))),
+    "p_rad_s": _rates("controller.r_roll", 1.0, "gyro.x", "ctrlLee.omegax", "stateEstimateZ.rateRoll", _MILLI),
+    "q_rad_s": _rates("controller.r_pitch", -1.0, "gyro.y", "ctrlLee.omegay", "stateEstimateZ.ratePitch", -_MILLI),
+    "r_rad_s": _rates("controller.r_yaw", 1.0, "gyro.z", "ctrlLee.omegaz", "stateEstimateZ.rateYaw", _MILLI),
+    "roll_ref_rad": (ColumnSource(("controller.roll",), _DEG), ColumnSource(("ctrlLee.rpydx",))),
+    "pitch_ref_rad": (ColumnSource(("controller.pitch",), -_DEG), ColumnSource(("ctrlLee.rpydy",))),
     "f_x_m_s2": (ColumnSource(("acc.x",), _G),),
     "f_y_m_s2": (ColumnSource(("acc.y",), _G),),
     "f_z_m_s2": (ColumnSource(("controller.accelz",), _G), ColumnSource(("acc.z",), _G)),
     "a_x_m_s2": (ColumnSource(("stateEstimate.ax",), _G),),
     "a_y_m_s2": (ColumnSource(("stateEstimate.ay",), _G),),
     "a_z_m_s2": (ColumnSource(("stateEstimate.az",), _G),),
-    "v_x_m_s": (ColumnSource(("stateEstimate.vx",)),),
-    "v_y_m_s": (ColumnSource(("stateEstimate.vy",)),),
-    "v_z_m_s": (ColumnSource(("stateEstimate.vz",)),),
-    "p_x_m": (ColumnSource(("stateEstimate.x",)),),
-    "p_y_m": (ColumnSource(("stateEstimate.y",)),),
-    "p_z_m": (ColumnSource(("stateEstimate.z",)),),
+    "v_x_m_s": (ColumnSource(("stateEstimate.vx",)), ColumnSource(("stateEstimateZ.vx",), _MILLI)),
+    "v_y_m_s": (ColumnSource(("stateEstimate.vy",)), ColumnSource(("stateEstimateZ.vy",), _MILLI)),
+    "v_z_m_s": (ColumnSource(("stateEstimate.vz",)), ColumnSource(("stateEstimateZ.vz",), _MILLI)),
+    "p_x_m": (ColumnSource(("stateEstimate.x",)), ColumnSource(("stateEstimateZ.x",), _MILLI)),
+    "p_y_m": (ColumnSource(("stateEstimate.y",)), ColumnSource(("stateEstimateZ.y",), _MILLI)),
+    "p_z_m": (ColumnSource(("stateEstimate.z",)), ColumnSource(("stateEstimateZ.z",), _MILLI)),
     "voltage_v": (ColumnSource(("pm.vbatMV",), 1e-3),),
     **{f"motor_{k}": (ColumnSource((f"motor.m{k}",), _THRUST),) for k in range(1, 5)},
     # the command, else what the motors were commanded
     "throttle": (
         ColumnSource(("controller.cmd_thrust",), _THRUST), ColumnSource(("stabilizer.thrust",), _THRUST),
         ColumnSource(("motor.m1", "motor.m2", "motor.m3", "motor.m4"), _THRUST),
+        ColumnSource(("ctrlLee.thrustSI",), _NEWTONS), ColumnSource(("ctrlLee.thrustSi",), _NEWTONS),
     ),
 }  # fmt: skip
 # Second-order low-passes before anything reads the sensors (ACCEL_LPF_CUTOFF_FREQ, GYRO_LPF_CUTOFF_FREQ of sensors_bmi088_bmp388.c).
