@@ -300,6 +300,8 @@ def test_the_side_that_is_named_is_the_one_with_the_error(size, error):
     )
     assert place.regime["above"] == pytest.approx(8.0, abs=0.01)
     assert f"100 % of the {error} lies in 20 % of the samples" in place.sentence
+    assert ("0.671 m/s, no more than repeats differ by, but ordered, above" in place.sentence) is (size < 2.0)
+    assert ("where repeats differ by 1," in place.sentence) is (size > 2.0)
 
 
 def test_a_curve_is_of_the_steps_that_were_located():

@@ -277,11 +277,14 @@ def located_at(
     unit = CHANNELS[name].unit
     rmse = float(np.sqrt(np.mean(r**2)))
     words = WORDS.get(name, short(name))
-    known = f"where repeats differ by {floor:.3g}" if repeated else f"where {brief(floor)} may be noise (no repeats)"
-    head = f"{words.capitalize()} in {flown(kind)}: {rmse:.3g} {unit} {known}"
+    ordered = x is not None and share >= LEAST_EXPLAINED and p_value <= 0.05
+    known = f" where repeats differ by {floor:.3g}" if repeated else f" where {brief(floor)} may be noise (no repeats)"
+    if ordered and rmse <= floor:  # two figures that are the same say nothing
+        known = f", no more than {'repeats differ by' if repeated else 'may be noise (no repeats)'}, but ordered"
+    head = f"{words.capitalize()} in {flown(kind)}: {rmse:.3g} {unit}{known}"
     regime: Regime = {}
     excess_share, sample_share, peak = 1.0, 1.0, float(r[np.argmax(np.abs(r))])
-    if x is not None and share >= LEAST_EXPLAINED and p_value <= 0.05:
+    if x is not None and ordered:
         label, _ = VARIABLES[variable]
         good = np.isfinite(x)
         power, error = np.where(good, r**2 - floor**2, 0.0), "excess error"

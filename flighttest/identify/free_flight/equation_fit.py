@@ -49,7 +49,7 @@ def fit_by_prediction_errors(
 ) -> Fit:
     """A fit whose `parts` are estimated by prediction errors (`parts_by_prediction_errors`). frozen: names held at values. FitError where
     the translation is among the parts and cannot be estimated."""
-    windows = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
+    windows = tuple(s for s in segments if s.usable)
     held = dict(frozen or {})
     found = []
     for part in parts:
