@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose.free_flight.equation_search import find_terms
-from flighttest.identify.free_flight import stretches
+from flighttest.identify.free_flight import estimate, stretches
 from flighttest.identify.free_flight.estimate import covariance_at
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
@@ -83,6 +83,22 @@ def test_whether_a_moment_is_there_does_not_depend_on_how_well_the_loop_is_known
     there, moment = covariance_at(flown(MOMENT), final, null), final.names.index("l_v")
     assert final.values["l_v"] < 10.0 * final.std["l_v"]
     assert final.values["l_v"] > 20.0 * np.sqrt(there[moment, moment])
+
+
+def test_a_term_is_estimated_from_usual_loops_too(monkeypatch):
+    """Six flights of a Crazyflie with a load had loops without a moment of the air from where none was found."""
+    starts = []
+
+    def estimated(flown, model, *, start, **asked):
+        starts.append((model.terms, dict(start)))
+        return estimate(flown, model, start=start, **asked)
+
+    monkeypatch.setitem(find_terms.__globals__, "estimate", estimated)
+    base = find_terms(flown(MOMENT), Model(), (catalogue()["airflow_moment"],), part="roll_pitch").base
+    of_moments = [start for terms, start in starts if "airflow_moment" in terms][:2]
+    usual = Model().param["omega_phi"].nominal
+    assert [start["omega_phi"] for start in of_moments] == [base.values["omega_phi"], usual]
+    assert {start["moment_trim_1_s"] for start in of_moments} == {0.0, 1.0}
 
 
 def test_without_a_moment_none_is_named():

@@ -142,6 +142,7 @@ def covariance_at(
     At the estimate itself a coefficient is one with what it multiplies: a moment of the air acts as M / omega^2, and M of 12 +- 4 beside an
     omega of 17.5 +- 2.7 rad/s was not significant where log likelihood had grown by 135. What a Wald test says of one depends on how
     it is written (Gregory and Veall 1985); there where nothing is, it does not. free, per_flight, priors: as `estimate` was given.
+    Infinite where the equations are not finite there.
     """
     objective = _PredictionErrors(
         Equations(found.model, flown, found.part),
@@ -150,8 +151,10 @@ def covariance_at(
     )
     objective.noise = dict(found.noise)
     nothing = objective.point(np.array([null.get(c.split("@")[0], found.values[c]) for c in objective.columns]))
+    if not nothing.finite:
+        return np.full(found.covariance.shape, np.inf)
     streams = [replace(s, columns=n.columns) for s, n in zip(objective.first, nothing.streams, strict=True)]
-    known = objective.errors(_Point(np.array([found.values[c] for c in objective.columns]), streams, nothing.finite))
+    known = objective.errors(_Point(np.array([found.values[c] for c in objective.columns]), streams, finite=True))
     return known.covariance - known.between
 
 
