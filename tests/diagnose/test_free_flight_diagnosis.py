@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from flighttest.diagnose import Verdict, diagnose
 from flighttest.diagnose.conclusion import sentence_of
 from flighttest.diagnose.free_flight import equation_search
-from flighttest.diagnose.free_flight.equation_search import find_terms
+from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
 from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS
@@ -210,6 +211,15 @@ def test_the_headline_says_what_these_flights_do_not_distinguish():
     assert "(or" not in sentence_of(
         Verdict.EXPLAINED, [replace(one, rivals=(other,))], (0.1, WITH_GUSTS), found.located, True
     )
+
+
+def test_what_is_named_beside_a_term_is_not_what_may_be_there_in_its_place():
+    named = {"attitude_extra_pole": ("airflow_moment", "rate_limit"), "airflow_moment": ()}
+    named = {t: NamedByEquations(t, 9.0, 1e-6, {"roll_rad": 0.01}, rivals) for t, rivals in named.items()}
+    search = EquationSearch((), SimpleNamespace(), SimpleNamespace(), named)
+    assert search.rivals_of("attitude_extra_pole") == ("rate_limit",)
+    del search.named["airflow_moment"]
+    assert search.rivals_of("attitude_extra_pole") == ("airflow_moment", "rate_limit")
 
 
 def test_what_is_written_and_shown_has_the_winds():

@@ -64,7 +64,7 @@ STAYS = 0.05  # p-value that a coefficient of a named term keeps when further te
 @dataclass(frozen=True)
 class NamedByEquations:
     """A term that free flight needs. nats: of quasi-likelihood that it gains; size: channel to the root mean square of its effect beside
-    the rest of the model, in the channel's unit; rivals: terms that explain it as well."""
+    the rest of the model, in the channel's unit; rivals: terms that explained it as well when it was named."""
 
     term: str
     nats: float
@@ -96,6 +96,10 @@ class EquationSearch:
         also holds what looks like a wind, may hold none."""
         winds = tuple(winds_of(self.final, headings_of(self.flown), self.declared))
         return winds if len(winds) > 1 else tuple(replace(w, verdict=WindVerdict.WIND) for w in winds)
+
+    def rivals_of(self, term: str) -> tuple[str, ...]:
+        """Terms that explain what a named one does as well, but for those that were named beside it."""
+        return tuple(r for r in self.named[term].rivals if r not in self.named)
 
     @property
     def beside_wind(self) -> tuple[str, ...]:
@@ -281,7 +285,7 @@ def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progr
     level, odds = level_of(len(known)), math.inf if asked.part == "translation" else log_odds_asked(len(known))
     picks = [s for s in found.screened if s.p_value < level or s.nats > odds][:TRIED]
     estimated: list[tuple[Screened, FreeFlight]] = []
-    # Each is estimated from the present estimate and, at another of its settings (of a trim by integrators, that of none), from usual loops:
+    # Each is estimated from the present estimate and, at another of its settings (without a trim by integrators), from usual loops:
     # without a moment of the air six flights of a Crazyflie had loops of 63 rad/s, damped 0.02, from where none was found.
     usual = {n: v for n, v in start_of(asked.flown, now.model).items() if now.model.param[n].kind == "base"}
     for s in picks:

@@ -49,7 +49,9 @@ def _finding(
         words = f"up to {max(w.speed for w in search.winds):.2g} m/s; each flight has its own"
     size = f"{named.size[channel]:.2g} {CHANNELS[channel].unit} RMS of {short(channel)}"
     sentence = with_owner(term, f"{term.plain} ({words}); {size} beside the rest of the model")
-    rivals = tuple(Rival(r, TermVerdict.CONFUSABLE, 1.0, what_separates(r, named.term)) for r in named.rivals)
+    rivals = tuple(
+        Rival(r, TermVerdict.CONFUSABLE, 1.0, what_separates(r, named.term)) for r in search.rivals_of(named.term)
+    )
     if rivals:
         sentence += f"; {', '.join(r.term for r in rivals)} would explain it as well: {rivals[0].separated_by}"
     forces = [v for c, v in named.size.items() if c.startswith(("f_", "a_"))]
@@ -99,7 +101,7 @@ def candidates_of(search: EquationSearch) -> list[CandidateRow]:
         channel, size = max(n.size.items(), key=lambda kv: kv[1])
         rows.append(CandidateRow(
             term=n.term, verdict=TermVerdict.SUPPORTED, delta_bic=-2.0 * n.nats, floors=None,
-            probability=probability_of(n.nats, len(search.offered)) / (1 + len(n.rivals)),
+            probability=probability_of(n.nats, len(search.offered)) / (1 + len(search.rivals_of(n.term))),
             why=f"{size:.2g} {CHANNELS[channel].unit} RMS, p {n.p_value:.1g}",
         ))  # fmt: skip
     for term, (nats, why) in search.refused.items():
