@@ -13,7 +13,7 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
-POOL = tuple(catalogue().values())
+POOL = tuple(catalogue()[t] for t in ("airflow_moment", "attitude_extra_pole", "rate_feedforward", "rate_limit"))
 OMEGA_RAD_S, ZETA, MOMENT = 40.0, 2.5, 30.0  # as of a Crazyflie: an attitude loop of 8 1/s about a rate loop of 200 1/s
 DT, EVERY = 0.002, 10
 

@@ -37,7 +37,7 @@ def test_moments_of_the_air_are_named_where_the_motors_trim_them(shared_data, re
     (moment,) = [f.parameters for f in found.findings if f.term == "airflow_moment"]
     assert found.values["m_u"] == pytest.approx(m_u, abs=1.0)
     assert moment["m_u"]["interval_95"][0] > 0.5
-    assert found.values["m_w"] == pytest.approx(m_w, abs=0.6)
+    assert found.values["m_w"] == pytest.approx(m_w, abs=1.0)
     pitch = found.heldout["pitch"]["all"]
     assert pitch["rmse_after"] < pitch["rmse_before"]
 
