@@ -285,14 +285,16 @@ def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progr
     level, odds = level_of(len(known)), math.inf if asked.part == "translation" else log_odds_asked(len(known))
     picks = [s for s in found.screened if s.p_value < level or s.nats > odds][:TRIED]
     estimated: list[tuple[Screened, FreeFlight]] = []
-    # Each is estimated from the present estimate and, at another of its settings (without a trim by integrators), from usual loops:
+    # Each is estimated from the present estimate and at another of its settings (without a trim by integrators), there from usual loops:
     # without a moment of the air six flights of a Crazyflie had loops of 63 rad/s, damped 0.02, from where none was found.
-    usual = {n: v for n, v in start_of(asked.flown, now.model).items() if now.model.param[n].kind == "base"}
+    body = {n: v for n, v in start_of(asked.flown, now.model).items() if now.model.param[n].kind == "base"}
+    usual = {} if asked.part == "translation" else body
     for s in picks:
         progress(f"{PART_IN_WORDS[asked.part]}: estimating with {s.term}")
         others = (one for one in settings(known[s.term], asked.flown) if one != s.shape)
-        model, starts = now.model.with_terms(s.term), ({**s.shape}, {**usual, **next(others, s.shape)})
+        model, first, second = now.model.with_terms(s.term), s.shape, {**usual, **next(others, s.shape)}
         try:
+            starts = [first, second] if second != first else [first]
             reached = [asked.estimate(model, {**now.values, **start}) for start in starts]
             estimated.append((s, max(reached, key=lambda one: one.log_likelihood)))
         except FitError as problem:
