@@ -48,9 +48,8 @@ class Port(Enum):
         return str(self.value[2])
 
 
-PRIOR_SIZES = (
-    3.0  # prior standard deviation of a linear coefficient, in nominal sizes: effects of a tenth to three sizes fly
-)
+# Prior standard deviation of a linear coefficient, in nominal sizes: effects of a tenth to three sizes fly.
+PRIOR_SIZES = 3.0
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from flighttest.segments.model import Flaw
 FloatArray = NDArray[np.float64]
 
 SHORTEST_S = 0.3  # after the step: six time constants of the paper's thrust lag
-LEAST_SAMPLES = 8  # of a response: its initial state alone takes up to six
+LEAST_SAMPLES = 8  # of a response: `SHORTEST_S` at 25 Hz
 _BEFORE_S = 0.15
 _RATE_MAX_RAD_S = 0.35  # mean before a tilt step; a vehicle that hovers stays below 0.1
 _ERROR_MAX_RAD = 0.12

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,12 +153,14 @@ class _Asked:
     priors: Mapping[str, tuple[float, float]]
 
     def estimate(self, model: Model, start: Mapping[str, float]) -> FreeFlight:
-        free, own = determined(self.flown, model), WIND if WIND_TERM in model.terms else ()
-        return estimate(self.flown, model, part=self.part, start=start, free=free, per_flight=own, priors=self.priors)
+        return estimate(self.flown, model, part=self.part, start=start, **self._given(model))
 
     def covariance_at(self, found: FreeFlight, null: Mapping[str, float]) -> FloatArray:
-        free, own = determined(self.flown, found.model), WIND if WIND_TERM in found.model.terms else ()
-        return covariance_at(self.flown, found, null, free=free, per_flight=own, priors=self.priors)
+        return covariance_at(self.flown, found, null, **self._given(found.model))
+
+    def _given(self, model: Model) -> dict[str, Any]:
+        own = WIND if WIND_TERM in model.terms else ()
+        return {"free": determined(self.flown, model), "per_flight": own, "priors": self.priors}
 
     def streams(self, found: FreeFlight) -> list[Stream]:
         names = list(dict.fromkeys(n.split("@")[0] for n in found.names))

@@ -139,9 +139,9 @@ def covariance_at(
     """Covariance (q, q) of an estimate in the order of `names`, without what flights differ by, for a test of whether coefficients are at
     `null` (name to value): with the innovations and the noise of the estimate, and the derivatives where the coefficients are there.
 
-    At the estimate itself a coefficient is one with what it multiplies: a moment of the air acts as M / omega^2, and M of 12 +- 4 beside an
-    omega of 17.5 +- 2.7 rad/s was not significant where log likelihood had grown by 135. What a Wald test says of one depends on how
-    it is written (Gregory and Veall 1985); there where nothing is, it does not. free, per_flight, priors: as `estimate` was given.
+    A Wald test depends on how a product is written (Gregory and Veall 1985). A moment of the air acts as M / omega^2: M of 11.6 +- 3.4
+    beside an omega of 17.2 +- 2.4 rad/s was not significant at the estimate, where log likelihood had grown by 135. With the derivatives
+    of where M is nothing the test is the same in M and in M / omega^2. free, per_flight, priors: as `estimate` was given.
     Infinite where the equations are not finite there.
     """
     objective = _PredictionErrors(

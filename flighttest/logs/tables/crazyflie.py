@@ -21,9 +21,8 @@ _DEG = 0.017453292519943295
 _G = 9.80665
 _THRUST = 1.0 / 65535.0
 _MILLI = 1e-3
-_NEWTONS = (
-    1.0 / 0.8
-)  # four motors of 0.2 N, more than any of a Crazyflie give: of a throttle only what it is in proportion to counts
+# Four motors of 0.2 N, more than the 0.16 N of the strongest flight read so far: the scale of a throttle is arbitrary, K takes it.
+_NEWTONS = 1.0 / 0.8
 
 
 def _rates(controller: str, sign: float, gyro: str, lee: str, integers: str, unit: float) -> tuple[ColumnSource, ...]:

@@ -11,9 +11,10 @@ import casadi as ca
 from flighttest.physics.core import Contribution, Param, Port, Signals, State, Term, Values
 
 LEAST_THRUST = 0.01  # of hover: the root has no slope at none
-# About the root of the thrust over weight and inertia, it is as g R / (k^2 Omega R), R and Omega R the radius and the tip speed of the
-# rotors, k the radius of gyration: 0.9 rad/(s m) for 1.5 kg (0.12 m, 70 m/s, 0.14 m), 11 for a Crazyflie of 34 g (0.023 m, 48 m/s,
-# 0.021 m). On flights of one with 3 standard deviations of 0.5, log likelihood fell by 133 for 24.5 and the moment had no name.
+# Standard deviation of the prior. A rotor's moment is thrust times radius times advance ratio; over the inertia m k^2 a derivative is of
+# the order of g R / (k^2 Omega R), with R and Omega R the radius and the tip speed of the rotors, k the radius of gyration of the vehicle:
+# 0.9 rad/(s m) for 1.5 kg (0.12 m, 70 m/s, 0.14 m), 11 for a Crazyflie of 34 g (0.023 m, 48 m/s, 0.021 m). With the 1.5 rad/(s m) of three
+# nominal sizes, two of four sets of flights of a Crazyflie that have the moment by name had none.
 SPREAD = 6.0
 _UPRIGHT = "blade flapping, and drag off the centre of mass: 0.2 to 2 for 1 to 2 kg, 2 to 10 for 34 g"
 _SKEWED = "none by symmetry in still air; in wind 0.5 to 2"
