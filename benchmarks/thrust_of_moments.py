@@ -58,8 +58,8 @@ def gains(segments: tuple[Segment, ...]) -> tuple[float, float]:
         starts = [{"moment_trim_1_s": t} for t in TRIMS_1_S] if MOMENTS in terms else [{}]
         base = estimate(flown, model, part="roll_pitch", free=determined(flown, model)).values
         free = determined(flown, tried)
-        found = [estimate(flown, tried, part="roll_pitch", start={**base, **one}, free=free) for one in starts]
-        return max(one.log_likelihood for one in found)
+        start = [{**base, **one} for one in starts]
+        return estimate(flown, tried, part="roll_pitch", start=start, free=free).log_likelihood
 
     none, moments, both = likelihood(), likelihood(MOMENTS), likelihood(MOMENTS, SHAPING)
     return moments - none, both - moments

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from flighttest.estimation.linearisation import orthonormal
@@ -27,6 +28,7 @@ BLOCK_S = (1.0, 5.0)  # of one cluster of the sandwich: what whitening left of c
 WANTED_BLOCKS = 40  # a sandwich over fewer understates errors (Cameron, Gelbach, Miller 2008)
 SHARED = 1e-3  # of a function of the state that is left beside the parameters, below which it is one of them
 LEAST_STD = 1e-9  # SI units: rounding of double precision; a channel that is stuck is modelled to within it, and its weight would overflow
+BATCH = 32  # samples that are whitened together: the quickest of 16, 32, 64 and 128
 LEAST_STRETCH = 4  # times as many samples as lags: a shorter stretch is left out
 
 
@@ -67,15 +69,26 @@ class Autoregression:
             filters[k, : k + 1], std[k] = a[::-1], np.sqrt(variance)
         return filters, std
 
+    @cached_property
+    def _batch(self) -> FloatArray:
+        """(BATCH, order + BATCH): of so many samples, by these and what is before them."""
+        row = np.concatenate([self.coefficients[::-1] / self.std, np.zeros(BATCH)])
+        return np.resize(row, (BATCH, self.order + BATCH))  # each row starts one sample later
+
     def whitened(self, values: FloatArray) -> FloatArray:
         """(n, ...) of (n, ...): filtered along time, of unit variance; the first samples by the lower orders that their past allows."""
         filters, std = self._starting
         first = min(self.order, len(values))
         out = np.zeros(values.shape)
         out[:first] = np.tensordot(filters[:first, :first] / std[:first, None], values[:first], axes=1)
-        n = len(values) - first
-        for lag, a in enumerate(self.coefficients):
-            out[first:] += a / self.std * values[first - lag : first - lag + n]
+        left = len(values) - first
+        if left:
+            # Products of matrices: a third of the time of a sum over lags.
+            flat = values[first - self.order :].reshape(self.order + left, -1)
+            flat = np.concatenate([flat, np.zeros((-left % BATCH, flat.shape[1]))])
+            windows = np.moveaxis(sliding_window_view(flat, self.order + BATCH, axis=0)[::BATCH], -1, 1)
+            made = (self._batch @ windows).reshape(len(flat) - self.order, flat.shape[1])
+            out[first:] = made[:left].reshape(out[first:].shape)
         return out
 
     def log_scale(self, size: int) -> float:
@@ -151,8 +164,6 @@ def noises(streams: Sequence[Stream]) -> dict[str, Autoregression]:
 def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per_block: int) -> Whitened:
     """Every stream by its channel's noise. Blocks are stretches of rows of one group, for standard errors that do not assume whiteness."""
     residual, columns, group, block, channel = [], [], [], [], []
-    first = 0
-    known: dict[tuple[int, int], int] = {}
     starts: dict[tuple[str, int], int] = {}
     for s in streams:
         ar = noise[s.channel]
@@ -160,20 +171,30 @@ def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per
         if not r.size:
             continue
         residual.append(r)
-        columns.append(ar.whitened(s.columns))
+        columns.append(_whitened_columns(ar, s.columns))
         group.append(np.full(r.size, s.group))
         channel.append(np.full(r.size, s.channel))
         # The channels of one moment are of one block: a gust moves them all.
         begin = starts.get((s.channel, s.group), 0)
         starts[s.channel, s.group] = begin + s.residual.size
-        at = (begin + np.arange(r.size)) // rows_per_block
-        block.append(np.array([known.setdefault((s.group, int(b)), len(known)) for b in at], dtype=np.intp))
-        first += r.size
+        block.append((begin + np.arange(r.size)) // rows_per_block)
     if not residual:
         q = streams[0].columns.shape[1] if streams else 0
         none = np.zeros(0, dtype=np.intp)
         return Whitened(np.zeros(0), np.zeros((0, q)), none, none, none.astype(np.str_))
-    return Whitened(*(np.concatenate(x) for x in (residual, columns, group, block, channel)))
+    of, at = np.concatenate(group), np.concatenate(block)
+    many = np.zeros(of.max() + 1, dtype=np.intp)  # blocks of each group
+    np.maximum.at(many, of, at + 1)
+    at += (np.cumsum(many) - many)[of]
+    return Whitened(np.concatenate(residual), np.concatenate(columns), of, at, np.concatenate(channel))
+
+
+def _whitened_columns(ar: Autoregression, columns: FloatArray) -> FloatArray:
+    """As `whitened`; of nine flights with winds of their own most columns of each are nothing."""
+    used = columns.any(axis=0)
+    found = np.zeros(columns.shape)
+    found[:, used] = ar.whitened(columns[:, used])
+    return found
 
 
 def log_scale(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> float:
@@ -268,7 +289,7 @@ def lack_of_fit(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) 
     along = {c: np.zeros((width, width)) for c in noise}
     for s in streams:
         ar = noise[s.channel]
-        more, columns = ar.whitened(second_order(s.state)), ar.whitened(s.columns)
+        more, columns = ar.whitened(second_order(s.state)), _whitened_columns(ar, s.columns)
         beside = orthonormal(columns)
         left = more - beside @ (beside.T @ more)
         own = orthonormal(left[:, np.sum(left**2, axis=0) > SHARED * np.sum(more**2, axis=0)])

@@ -90,7 +90,7 @@ def test_a_term_is_estimated_from_usual_loops_too(monkeypatch):
     starts = []
 
     def estimated(flown, model, *, start, **asked):
-        starts.append((model.terms, dict(start)))
+        starts.extend((model.terms, dict(one)) for one in start)
         return estimate(flown, model, start=start, **asked)
 
     monkeypatch.setitem(find_terms.__globals__, "estimate", estimated)

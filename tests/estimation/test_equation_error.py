@@ -164,13 +164,15 @@ def test_every_sample_is_whitened_by_what_is_known_before_it():
     than one of 17 on tunnel flights, at the same parameters."""
     noise = Autoregression(np.array([1.0, -1.5, 0.9, -0.2]), 0.3)
     answer = lfilter([0.3], noise.coefficients, np.eye(1, 4000)[0])
-    covariance = toeplitz([answer[: 4000 - k] @ answer[k:] for k in range(12)])
-    root, values = np.linalg.cholesky(covariance), np.random.default_rng(4).standard_normal((12, 2))
+    covariance = toeplitz([answer[: 4000 - k] @ answer[k:] for k in range(80)])
+    root, values = np.linalg.cholesky(covariance), np.random.default_rng(4).standard_normal((80, 2))
     assert noise.whitened(values) == pytest.approx(np.linalg.solve(root, values))
+    assert noise.whitened(values[:, 0]) == pytest.approx(np.linalg.solve(root, values[:, 0]))
+    assert noise.whitened(values[:, :0]).shape == (80, 0)
     assert noise.whitened(values[:2]) == pytest.approx(
         np.linalg.solve(root[:2, :2], values[:2])
     )  # shorter than its order
-    assert noise.log_scale(12) == pytest.approx(np.sum(np.log(np.diag(root))))
+    assert noise.log_scale(80) == pytest.approx(np.sum(np.log(np.diag(root))))
 
 
 @pytest.mark.parametrize("std", [0.1, 10.0])

@@ -154,7 +154,8 @@ def test_the_space_kept_back_ends_the_record(run_dir: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="shows no open files")
-def test_a_flight_that_is_refused_leaves_no_file_open(run_dir: Path) -> None:
+def test_a_flight_that_is_refused_leaves_no_file_open(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flighttest.link.session.CONNECT_S", 0.3)
     with pytest.raises(LinkError):
         fly(make_plan(), "sim", run_dir, transport=FaultyLink(options(), mute=lambda _t: True))
     opened = [os.readlink(f) for f in Path("/proc/self/fd").iterdir() if f.is_symlink()]

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from flighttest.errors import FitError
+from flighttest.estimation.gauss_newton import minimise
 from flighttest.frames import rotation_from_euler
 from flighttest.identify.free_flight import estimate, stretches
+from flighttest.identify.free_flight.chunks import Chunks
+from flighttest.identify.free_flight.equations import Equations
 from flighttest.identify.free_flight.estimate import mixture
 from flighttest.identify.free_flight.translation import predicted
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, any_wind, headings_of, winds, winds_of
@@ -102,6 +105,42 @@ def test_an_estimate_does_not_depend_on_where_it_began():
     assert second.converged
     for name in NAMES:
         assert abs(first.values[name] - second.values[name]) < 0.2 * first.std[name], name
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_several_starts_the_best_optimum_is_found_and_what_leads_to_less_is_given_up(order, monkeypatch):
+    """A slow motor after a long delay is an optimum of its own, 632 nats below."""
+    limits = []
+
+    def noted(*asked, tolerances=None):
+        limits.append(tolerances)
+        return minimise(*asked, tolerances=tolerances)
+
+    monkeypatch.setitem(estimate.__globals__, "minimise", noted)
+    good, poor = {"sigma_t": 60.0, "T_d_thrust": 0.02}, {"sigma_t": 15.0, "T_d_thrust": 0.28}
+    some, model = stretches(flown()), Model(attitude_loops=False)
+    alone = estimate(some, model, free=NAMES, start=good)
+    limits.clear()
+    found = estimate(some, model, free=NAMES, start=[good, poor][::order])
+    for name in NAMES:
+        assert abs(found.values[name] - alone.values[name]) < 0.1 * alone.std[name], name
+        assert found.std[name] == pytest.approx(alone.std[name], rel=0.05)
+    assert [one is None for one in limits] == ([True, False] if order > 0 else [True, False, True])
+    assert limits[1].compared_with is not None
+
+
+def test_pieces_that_are_integrated_side_by_side_are_one_flight(monkeypatch):
+    """The start of each is forgotten in its lead; no sample is lost or counted twice."""
+    some = stretches(flown())
+    values = Model(attitude_loops=False).start() | TRUTH
+    found = []
+    for lanes in (16, 1):
+        monkeypatch.setitem(Chunks.__init__.__globals__, "LANES", lanes)
+        found.append(Equations(Model(attitude_loops=False), some).streams(values, NAMES)[0])
+    for many, few in zip(*found, strict=True):
+        assert many.residual.size == few.residual.size > 0.98 * sum(s.t_s.size for s in some)
+        assert np.abs(many.residual - few.residual).max() < 1e-3
+        assert np.abs(many.columns - few.columns).max() < 1e-3 * np.abs(few.columns).max()
 
 
 def test_equations_of_the_wrong_form_widen_intervals():

@@ -151,9 +151,14 @@ class _Asked:
     flown: Sequence[Segment]
     part: str
     priors: Mapping[str, tuple[float, float]]
+    _known: dict[tuple[Model, Any], FreeFlight] = field(default_factory=dict)
 
-    def estimate(self, model: Model, start: Mapping[str, float]) -> FreeFlight:
-        return estimate(self.flown, model, part=self.part, start=start, **self._given(model))
+    def estimate(self, model: Model, *starts: Mapping[str, float]) -> FreeFlight:
+        """From one or several starts, once: what looks like a wind is compared with it and then asked for by itself."""
+        key = model, tuple(tuple(start.items()) for start in starts)
+        if key not in self._known:
+            self._known[key] = estimate(self.flown, model, part=self.part, start=starts, **self._given(model))
+        return self._known[key]
 
     def covariance_at(self, found: FreeFlight, null: Mapping[str, float]) -> FloatArray:
         return covariance_at(self.flown, found, null, **self._given(found.model))
@@ -298,8 +303,7 @@ def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progr
         model, first, second = now.model.with_terms(s.term), s.shape, {**usual, **next(others, s.shape)}
         try:
             starts = [first, second] if second != first else [first]
-            reached = [asked.estimate(model, {**now.values, **start}) for start in starts]
-            estimated.append((s, max(reached, key=lambda one: one.log_likelihood)))
+            estimated.append((s, asked.estimate(model, *({**now.values, **start} for start in starts))))
         except FitError as problem:
             found.refused[s.term] = (-np.inf, str(problem))
     # One inflation for all that are compared, that of the likeliest: by its own, a worse model of more noise would gain less.

@@ -10,7 +10,7 @@ import numpy as np
 
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.estimator import part_of
-from flighttest.identify.free_flight.loops import ATTITUDE_MEANS_S, LoopEquations
+from flighttest.identify.free_flight.loops import ATTITUDE_MEANS_S, LoopEquations, compared
 from flighttest.identify.free_flight.stretches import sampling_period_s
 from flighttest.identify.free_flight.translation import TranslationEquations
 from flighttest.identify.selection import able
@@ -75,4 +75,4 @@ class Equations:
     def _loops(self, flown: Sequence[Segment]) -> list[TranslationEquations | LoopEquations]:
         """Of the blocks whose references move in a flight."""
         blocks = [b for b in self.model.blocks if part_of(b.name) == self.part and able(flown, b)]
-        return [loop for loop in (LoopEquations(self.model, b, flown) for b in blocks) if loop.outputs]
+        return [LoopEquations(self.model, b, flown, outputs) for b in blocks if (outputs := compared(b, flown))]

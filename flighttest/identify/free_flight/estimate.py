@@ -33,7 +33,7 @@ from flighttest.estimation.equation_error import (
     step,
     whiten,
 )
-from flighttest.estimation.gauss_newton import MAX_ITERATIONS, Minimum, Space, minimise
+from flighttest.estimation.gauss_newton import Minimum, Space, Tolerances, minimise
 from flighttest.identify.dead_time import thrust_gain
 from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight.equations import Equations
@@ -97,7 +97,7 @@ def estimate(
     model: Model,
     *,
     part: str = "translation",
-    start: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | Sequence[Mapping[str, float]] | None = None,
     free: Sequence[str] | None = None,
     per_flight: Sequence[str] = (),
     priors: Mapping[str, tuple[float, float]] | None = None,
@@ -105,11 +105,12 @@ def estimate(
     """Gauss-Newton on the whitened equations, noise and parameters in turn.
 
     flown: of `stretches`; part: of the model, one of `estimation.estimator.BLOCKS`; start: parameters by name, those of one flight as
-    `name@flight` (default: from the flight itself); free: names that are estimated (default: all that act); per_flight: names with a value
-    per flight; priors: name, or `name@flight`, to (mean, standard deviation). FitError where there is nothing to estimate from.
+    `name@flight` (default: from the flight itself), or several such, of which each may lead to another local optimum; free: names that are
+    estimated (default: all that act); per_flight: names with a value per flight; priors: name, or `name@flight`, to (mean, standard
+    deviation). FitError where there is nothing to estimate from.
 
     Where flights have winds of their own, and `start` has none, much drag in little wind is a local optimum beside little drag in much
-    wind: both are sought, and the covariance is that of the mixture of what was found (`mixture`).
+    wind: both are sought. Of several optima the covariance is that of their mixture (`mixture`).
     """
     if not flown:
         raise FitError(
@@ -117,14 +118,14 @@ def estimate(
             "see `flighttest segment` for what was recorded",
         )
     asked = _Asked(model, part, free, tuple(per_flight), dict(priors or {}))
-    known = {**start_of(flown, model), **dict(start or {})}
+    given = start if isinstance(start, Sequence) else [start or {}]
+    first, *others = [{**start_of(flown, model), **one} for one in given]
     searched = set(STARTS[part][0]) & set(model.names if free is None else free)
-    starts = [known if set(start or {}) & searched else _with_lag(flown, asked, known)]
-    if per_flight and not any("@" in n for n in start or {}):
+    starts = [first if searched & set(given[0]) else _with_lag(flown, asked, first), *others]
+    if per_flight and not any("@" in n for n in given[0]):
         usual = {p.name: p.nominal for p in model.params if p.name in DRAG}
-        starts += [starts[0] | usual, _with_lag(flown, asked, known | usual)]
-    equations = Equations(model, flown, part)
-    return mixture([_minimised(equations, asked, one, MAX_ITERATIONS) for one in starts])
+        starts += [starts[0] | usual, _with_lag(flown, asked, first | usual)]
+    return mixture(_optima(Equations(model, flown, part), asked, starts))
 
 
 def covariance_at(
@@ -163,9 +164,14 @@ def _with_lag(flown: Sequence[Segment], asked: _Asked, values: Mapping[str, floa
     equations = Equations(asked.model, _some(flown, asked.part), asked.part)
     held = () if asked.free is None else set(values) - set(asked.free)
     starts = [{n: v for n, v in one.items() if n not in held} for one in STARTS[asked.part]]
-    tried = [_minimised(equations, asked, {**values, **_known(one, values)}, FIRST_ITERATIONS) for one in starts]
-    best = max(tried, key=lambda found: found.log_likelihood)
-    return {**values, **{n: best.values[n] for n in (*starts[0], "K") if n in best.values}}
+    tried: list[tuple[float, Mapping[str, float]]] = []
+    for start in starts:
+        objective = _PredictionErrors(equations, asked, {**values, **_known(start, values)})
+        at = minimise(objective, objective.start(), objective.space, max_iterations=FIRST_ITERATIONS).point
+        objective.learn(at, FIRST_ITERATIONS)
+        tried.append((objective.log_likelihood(objective.cost(at)), objective.values(at.theta)))
+    _, best = max(tried, key=lambda one: one[0])
+    return {**values, **{n: best[n] for n in (*starts[0], "K") if n in best}}
 
 
 def mixture(found: Sequence[FreeFlight]) -> FreeFlight:
@@ -181,9 +187,24 @@ def mixture(found: Sequence[FreeFlight]) -> FreeFlight:
     return replace(best, covariance=best.covariance + between)
 
 
-def _minimised(equations: Equations, asked: _Asked, values: Mapping[str, float], iterations: int) -> FreeFlight:
+def _optima(equations: Equations, asked: _Asked, starts: Sequence[Mapping[str, float]]) -> list[FreeFlight]:
+    """What each start leads to. One that leads to less than the best before it is given up on the way (`Tolerances.compared_with`)."""
+    best = _minimised(equations, asked, starts[0])
+    found = [best]
+    for start in starts[1:]:
+        limits = Tolerances(compared_with=best.log_likelihood)
+        one = _minimised(equations, asked, start, limits)
+        if limits.share * (one.log_likelihood - best.log_likelihood) > limits.decrease:
+            one = best = _minimised(equations, asked, one.values)
+        found.append(one)
+    return found
+
+
+def _minimised(
+    equations: Equations, asked: _Asked, values: Mapping[str, float], tolerances: Tolerances | None = None
+) -> FreeFlight:
     objective = _PredictionErrors(equations, asked, values)
-    return objective.found(minimise(objective, objective.start(), objective.space, max_iterations=iterations))
+    return objective.found(minimise(objective, objective.start(), objective.space, tolerances=tolerances))
 
 
 def _known(some: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:

@@ -14,7 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from flighttest.channels import REFERENCE_OF
-from flighttest.identify.free_flight.stretches import Chunks, FloatArray, Residual, unbroken
+from flighttest.identify.free_flight.chunks import Chunks
+from flighttest.identify.free_flight.stretches import FloatArray, Residual, unbroken
 from flighttest.identify.selection import changes
 from flighttest.physics.blocks import AXES, Block
 from flighttest.physics.model import Model
@@ -25,22 +26,27 @@ from flighttest.segments.model import Segment
 ATTITUDE_MEANS_S = 0.1
 
 
-class LoopEquations:
-    """One block of the attitude loops over one flight: the outputs that move as their own references do, so that models with and without a
-    coupling of the axes leave the same residuals. state: the simulated outputs and their rates, functions of the references alone."""
+def compared(block: Block, flown: Sequence[Segment]) -> tuple[str, ...]:
+    """Outputs of a block that move as their own references do, so that models with and without a coupling of the axes leave the same
+    residuals."""
+    return tuple(
+        n
+        for n in block.outputs
+        if changes(flown, REFERENCE_OF[n])
+        and all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown)
+        and any(np.nanmax(s.y[n]) > np.nanmin(s.y[n]) for s in flown)  # else the sensor is stuck
+    )
 
-    def __init__(self, model: Model, block: Block, flown: Sequence[Segment]) -> None:
-        self.model, self.block = model, block
+
+class LoopEquations:
+    """One block of the attitude loops over one flight: the outputs that are `compared`. state: the simulated outputs and their rates,
+    functions of the references alone."""
+
+    def __init__(self, model: Model, block: Block, flown: Sequence[Segment], outputs: tuple[str, ...]) -> None:
+        self.block, self.outputs = block, outputs
         own = {name for _, names in AXES for name in names}
-        self.chunks = Chunks.of(flown, bool(set(block.free_states) - own), [{} for _ in flown])
-        self.outputs = tuple(
-            n
-            for n in block.outputs
-            if changes(flown, REFERENCE_OF[n])
-            and all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown)
-            and any(np.nanmax(s.y[n]) > np.nanmin(s.y[n]) for s in flown)  # else the sensor is stuck
-        )
-        seen = (np.array([s.y[n] for n in self.outputs]).reshape(-1, s.t_s.size).T for s in flown)
+        self.chunks = Chunks(flown, block, outputs, model, long_memory=bool(set(block.free_states) - own))
+        seen = (np.array([s.y[n] for n in outputs]).T for s in flown)
         self.measured = [self.chunks.along(k, one) for k, one in enumerate(seen)]
         self.times = [self.chunks.along(k, s.t_s) for k, s in enumerate(flown)]
 
@@ -51,7 +57,7 @@ class LoopEquations:
 
     def evaluated(self, values: Mapping[str, float], names: Sequence[str]) -> Iterator[Residual]:
         """Of every stretch without gaps, without its mean: trim is no dynamics."""
-        for k, predicted, slopes in self.chunks.simulated(self.block, self.outputs, self.model, values, names):
+        for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names)):
             t = self.times[k]
             residual = self.measured[k] - predicted
             state = np.concatenate([predicted, np.gradient(predicted, t, axis=0)], axis=1)

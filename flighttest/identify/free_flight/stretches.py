@@ -1,30 +1,23 @@
-"""Stretches of free flight without gaps, and the pieces of them that are integrated side by side."""
+"""Stretches of free flight without gaps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.channels import CHANNELS
-from flighttest.estimation.integration.kernel import Kernel
-from flighttest.estimation.responses import Response, Stacked, attitude_is_known, max_step_s, prepare
-from flighttest.physics.blocks import VELOCITY, Block
-from flighttest.physics.model import Model
+from flighttest.estimation.responses import attitude_is_known
+from flighttest.physics.blocks import VELOCITY
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
 JOIN_PERIODS = 2.5  # windows this near to each other are one stretch
 SHORTEST_S = 4.0
-CHUNK_S = 10.0  # of a stretch, integrated side by side
-LEAD_S = 1.0  # before each, in which the initial state is forgotten: five time constants of slow motors and of slow attitude loops
-# The same where a term has states of unknown start, a swinging load: 95 % of a swing with a damping ratio of 0.05 on a cable of 1 m.
-MEMORY_S, MEMORY_CHUNK_S = 20.0, 40.0
 
 
 def stretches(segments: Sequence[Segment], part: str = "translation") -> list[Segment]:
@@ -106,73 +99,3 @@ def unbroken(t: FloatArray, good: NDArray[np.bool_]) -> list[tuple[int, int]]:
     breaks = np.flatnonzero(~good[1:] | ~good[:-1] | (np.diff(t) > JOIN_PERIODS * period)) + 1
     bounds = [0, *breaks.tolist(), t.size]
     return [(a, b) for a, b in pairwise(bounds) if b - a >= 3 and good[a:b].all()]
-
-
-@dataclass
-class Chunks:
-    """Stretches of one flight in pieces of `CHUNK_S`, each with a lead of its own before it. kept: per piece its samples behind the lead;
-    at: these samples in its stretch; stretch: which it is of."""
-
-    pieces: list[Segment]
-    kept: list[slice]
-    at: list[slice]
-    stretch: list[int]
-    _kernels: dict[tuple[str, tuple[str, ...]], Kernel] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, flown: Sequence[Segment], long_memory: bool, changed: Sequence[Mapping[str, FloatArray]]) -> Chunks:
-        """changed: per stretch, channels in the place of those recorded; long_memory: whether initial states are forgotten slowly."""
-        made = cls([], [], [], [])
-        lead_s, length_s = (MEMORY_S, MEMORY_CHUNK_S) if long_memory else (LEAD_S, CHUNK_S)
-        for k, (s, other) in enumerate(zip(flown, changed, strict=True)):
-            period = float(np.median(np.diff(s.t_s)))
-            starts = np.arange(s.t_s[0] + LEAD_S, s.t_s[-1], length_s)
-            for start, end in pairwise([*starts, s.t_s[-1] + period]):
-                a = int(np.searchsorted(s.t_s, start - lead_s - 1e-9))
-                first, b = int(np.searchsorted(s.t_s, start - 1e-9)), int(np.searchsorted(s.t_s, end - 1e-9))
-                if b - first < 3:
-                    continue
-                made.pieces.append(chunk(s, other, a, b))
-                made.kept.append(slice(first - a, b - a))
-                made.at.append(slice(first, b))
-                made.stretch.append(k)
-        return made
-
-    def simulated(
-        self, block: Block, outputs: tuple[str, ...], model: Model, values: Mapping[str, float], names: Sequence[str]
-    ) -> list[tuple[int, FloatArray, FloatArray]]:
-        """(stretch, outputs (n, c), their derivatives by `names` (n, c, q)) at the samples kept of every stretch, without disturbances."""
-        if not self.pieces:
-            return []
-        free = tuple(n for n in block.params if n in names)
-        p = np.array([values[n] for n in block.params])
-        made = [
-            prepare(s, i, block, outputs, model.nominal_voltage_v, 0.0, values["K"]) for i, s in enumerate(self.pieces)
-        ]
-        nodes = Stacked.of(made).nodes(float(block.delay_s(p)), max_step_s(block, values))
-        mask = np.zeros((len(made), max(r.t_s.size for r in made), len(outputs)), dtype=bool)
-        for j, r in enumerate(made):
-            mask[j, : r.t_s.size] = True
-        known = self.pieces[0].context.filters
-        filters = {c: hz for c in outputs if (hz := float(known.get(CHANNELS[c].group, 0.0))) > 0.0}
-        kernel = self._kernels.setdefault((block.name, free), Kernel(block, outputs, free, filters))
-        y, dy = kernel.at_samples(p, _start(made, block), nodes, mask, True)
-        found = []
-        for k in dict.fromkeys(self.stretch):
-            here = [j for j, of in enumerate(self.stretch) if of == k]
-            predicted = np.concatenate([y[j, self.kept[j]] for j in here])
-            slopes = np.zeros((*predicted.shape, len(names)))
-            slopes[..., [list(names).index(n) for n in free]] = np.concatenate(
-                [dy[j, self.kept[j], :, : len(free)] for j in here]
-            )
-            found.append((k, predicted, slopes))
-        return found
-
-    def along(self, k: int, values: FloatArray) -> FloatArray:
-        """Of values (n, ...) of a stretch those at the samples kept."""
-        return np.concatenate([values[at] for at, of in zip(self.at, self.stretch, strict=True) if of == k])
-
-
-def _start(made: Sequence[Response], block: Block) -> FloatArray:
-    """(m, n_locals) measured initial states, no disturbance."""
-    return np.stack([np.concatenate([r.start, np.zeros(len(block.disturbances))]) for r in made])

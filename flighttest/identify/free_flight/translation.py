@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import G_M_S2, rotation_from_euler
-from flighttest.identify.free_flight.stretches import Chunks, Residual, unbroken
+from flighttest.identify.free_flight.chunks import Chunks
+from flighttest.identify.free_flight.stretches import Residual, unbroken
 from flighttest.physics.blocks import ACCELERATION, FORCE, VELOCITY
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -78,9 +79,9 @@ class TranslationEquations:
         self.block = (model.without_terms(LATENCY) if LATENCY in model.terms else model).measured_velocity
         velocities = [_velocity(s) for s in flown]
         swings = any(n != "a_t_m_s2" for n in self.block.free_states)
-        self.chunks = Chunks.of(flown, swings, velocities)
         force = tuple(n for n in FORCE if all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown))
         self.outputs = force or ACCELERATION
+        self.chunks = Chunks(flown, self.block, self.outputs, model, long_memory=swings, changed=velocities)
         seen = (np.stack([s.y[n] for n in (force or VELOCITY)], axis=1) for s in flown)
         self.measured = [self.chunks.along(k, one) for k, one in enumerate(seen)]
         states = (_state(s, v) for s, v in zip(flown, velocities, strict=True))
@@ -95,7 +96,7 @@ class TranslationEquations:
 
     def evaluated(self, values: Mapping[str, float], names: Sequence[str]) -> Iterator[Residual]:
         """Of every stretch without gaps."""
-        for k, predicted, slopes in self.chunks.simulated(self.block, self.outputs, self.model, values, names):
+        for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names)):
             t, seen, state = self.times[k], self.measured[k], self.states[k]
             if self.outputs == ACCELERATION and LATENCY in values:
                 column = names.index(LATENCY) if LATENCY in names else None

@@ -1,0 +1,118 @@
+"""One block of the model over the stretches of one flight, in pieces that are integrated side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.channels import CHANNELS
+from flighttest.estimation.integration.kernel import Kernel
+from flighttest.estimation.integration.native_block import LANES
+from flighttest.estimation.responses import Response, Stacked, max_step_s, prepare
+from flighttest.identify.free_flight.stretches import chunk
+from flighttest.physics.blocks import Block
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+CHUNK_S = 10.0  # the longest piece of a stretch
+LEAD_S = 1.0  # before each, in which the initial state is forgotten: five time constants of slow motors and of slow attitude loops
+# The same where a term has states of unknown start, a swinging load: 95 % of a swing with a damping ratio of 0.05 on a cable of 1 m.
+MEMORY_S, MEMORY_CHUNK_S = 20.0, 40.0
+
+
+class _Piece(NamedTuple):
+    """A piece of a stretch with a lead before it. kept: its samples behind the lead; at: positions (n,) of these in the stretch."""
+
+    segment: Segment
+    kept: slice
+    at: IndexArray
+
+
+class Chunks:
+    """Each piece of a stretch has a lead of its own before it. There are as many as fill the lanes of the kernel, in which sixteen take no
+    longer than the longest of them."""
+
+    def __init__(
+        self,
+        flown: Sequence[Segment],
+        block: Block,
+        outputs: tuple[str, ...],
+        model: Model,
+        *,
+        long_memory: bool = False,
+        changed: Sequence[Mapping[str, FloatArray]] = (),
+    ) -> None:
+        """long_memory: whether initial states are forgotten slowly; changed: per stretch, channels in the place of those recorded."""
+        self._block, self._outputs = block, outputs
+        lead_s, most_s = (MEMORY_S, MEMORY_CHUNK_S) if long_memory else (LEAD_S, CHUNK_S)
+        whole_s = sum(float(np.ptp(s.t_s)) for s in flown)
+        length_s = whole_s / (LANES * math.ceil(whole_s / (LANES * most_s)))
+        others = changed or [{}] * len(flown)
+        cut = [_cut(s, other, lead_s, length_s) for s, other in zip(flown, others, strict=True)]
+        self._at = [np.concatenate([p.at for p in pieces]) for pieces in cut]
+        pieces = [p for some in cut for p in some]
+        made, gained = (
+            [prepare(p.segment, i, block, outputs, model.nominal_voltage_v, 0.0, gain) for i, p in enumerate(pieces)]
+            for gain in (0.0, 1.0)
+        )
+        self._start = _start(made, block)
+        self._start_by_gain = (
+            _start(gained, block) - self._start
+        )  # that of a thrust which was not measured is linear in K
+        self._stacked = Stacked.of(made)
+        sizes = np.array([r.t_s.size for r in made])
+        within = np.arange(sizes.max()) < sizes[:, None]
+        self._mask = np.repeat(within[..., None], len(outputs), axis=2)
+        # Of each stretch the rows of its samples, where those of all pieces are one after the other.
+        row = [sizes.max() * i + np.arange(sizes[i])[p.kept] for i, p in enumerate(pieces)]
+        ends = np.cumsum([0, *map(len, cut)])
+        self._rows = [np.concatenate(row[a:b]) for a, b in pairwise(ends)]
+        known = flown[0].context.filters
+        self._filters = {c: hz for c in outputs if (hz := float(known.get(CHANNELS[c].group, 0.0))) > 0.0}
+
+    def simulated(self, values: Mapping[str, float], names: Sequence[str]) -> list[tuple[FloatArray, FloatArray]]:
+        """Of every stretch the outputs (n, c) at the samples kept, and their derivatives by `names` (n, c, q), without disturbances."""
+        block, width = self._block, len(self._outputs)
+        free = tuple(n for n in block.params if n in names)
+        p = np.array([values[n] for n in block.params])
+        nodes = self._stacked.nodes(float(block.delay_s(p)), max_step_s(block, values))
+        kernel = Kernel(block, self._outputs, free, self._filters)
+        y, dy = kernel.at_samples(p, self._start + values["K"] * self._start_by_gain, nodes, self._mask, True)
+        y, dy = y.reshape(-1, width), dy.reshape(-1, width, dy.shape[-1])
+        columns = [list(names).index(n) for n in free]
+        found = []
+        for rows in self._rows:
+            slopes = np.zeros((rows.size, width, len(names)))
+            slopes[..., columns] = dy[rows, :, : len(free)]
+            found.append((y[rows], slopes))
+        return found
+
+    def along(self, k: int, values: FloatArray) -> FloatArray:
+        """Of values (n, ...) of a stretch those at the samples kept."""
+        found: FloatArray = values[self._at[k]]
+        return found
+
+
+def _cut(s: Segment, changed: Mapping[str, FloatArray], lead_s: float, length_s: float) -> list[_Piece]:
+    """A stretch in pieces of equal length, about `length_s` but no shorter than the shortest lead or ten samples."""
+    period = float(np.median(np.diff(s.t_s)))
+    begin, end = s.t_s[0] + LEAD_S, s.t_s[-1] + period
+    count = max(round((end - begin) / max(length_s, LEAD_S, 10.0 * period)), 1)
+    found = []
+    for start, stop in pairwise(np.linspace(begin, end, count + 1) - 1e-9):
+        a, first, b = (int(np.searchsorted(s.t_s, t)) for t in (start - lead_s, start, stop))
+        found.append(_Piece(chunk(s, changed, a, b), slice(first - a, b - a), np.arange(first, b)))
+    return found
+
+
+def _start(made: Sequence[Response], block: Block) -> FloatArray:
+    """(m, n_locals) measured initial states, no disturbance."""
+    return np.stack([np.concatenate([r.start, np.zeros(len(block.disturbances))]) for r in made])
