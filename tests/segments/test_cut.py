@@ -1,4 +1,5 @@
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -261,6 +262,25 @@ def test_a_throttle_that_drifts_does_not_hide_the_steps_beside_it(fly):
         pieces += [(0.1, roll, 0.0, 0.0, 0.25 + 0.004 * rng.standard_normal()) for _ in range(20)]
     steps = [s for s in cut(fly(pieces).recording()) if s.kind == "roll_step"]
     assert [s.cell["amplitude_rad"] for s in steps] == pytest.approx([0.2, 0.3, -0.3], abs=0.02)
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_a_throttle_that_rests_now_and_then_is_a_step_only_where_tilt_was_asked_to_stay(fly, recorded):
+    """A position loop's throttle of 0.71 to 0.74 made five steps of figures of eight of which roll and pitch asked for were not in the
+    log, and 20 s of 55 between them were not used."""
+    levels = [0.25, 0.29, 0.25, 0.3, 0.25, 0.31]
+    pieces = []
+    for before, after in pairwise(levels):
+        pieces += [(0.02, 0.0, 0.0, 0.0, before + (after - before) * (k + 1) / 10) for k in range(10)]
+        pieces += [(0.1, 0.0, 0.0, 0.0, after + 0.002 * (-1) ** k) for k in range(20)]
+    recording = fly([(2.0, 0.0, 0.0, 0.0, 0.25), *pieces]).recording()
+    reference = recording.series["reference"]
+    if not recorded:
+        reference = Series(reference.t_s, {"throttle": reference.columns["throttle"]})
+    segments = cut(replace(recording, series={**recording.series, "reference": reference}))
+    assert ("throttle_step" in {s.kind for s in segments}) is recorded
+    if not recorded:
+        assert sum(s.t_s[-1] - s.t_s[0] for s in segments if s.usable) > 11.0
 
 
 def test_a_recording_without_references_becomes_windows(campaign):

@@ -180,15 +180,16 @@ def _tested(
     count = int(whitened.block.max(initial=-1)) + 1
     if count < FEWEST_BLOCKS + others:
         return None
+    inverse, total = np.linalg.pinv(information), left.T @ whitened.residual
+    delta = inverse @ total
+    # What the step leaves tells how sure it is: before it every block holds the term itself, and n of them give no more than t^2 = n.
     scores = np.zeros((count, left.shape[1]))
-    np.add.at(scores, whitened.block, left * whitened.residual[:, None])
-    total = scores.sum(axis=0)
-    meat = scores.T @ scores * (count / (count - 1))
+    np.add.at(scores, whitened.block, left * (whitened.residual - left @ delta)[:, None])
+    covariance = inverse @ (scores.T @ scores * (count / (count - 1))) @ inverse
     q = left.shape[1]
     dof = count - others - q + 1
-    statistic = float(total @ np.linalg.pinv(meat) @ total) * dof / (q * count)
-    inverse = np.linalg.pinv(information)
-    delta, error = inverse @ total, np.sqrt(np.diag(inverse @ meat @ inverse))
+    statistic = float(delta @ np.linalg.pinv(covariance) @ delta) / q
+    error = np.sqrt(np.diag(covariance))
     raw = np.concatenate([s.columns for s in streams])
     base_columns, columns = raw[:, :others], raw[:, others:][:, determined]
     beside = columns - base_columns @ np.linalg.lstsq(base_columns, columns, rcond=None)[0]
