@@ -22,7 +22,7 @@ GAIN, SIGMA, DELAY_S, DRAG = 50.0, 18.0, 0.06, np.array([0.4, 0.3, 0.5])
 DT, RATE_HZ = 0.01, 50
 
 
-def flight(seconds, seed, wind=(0.0, 0.0), gust=0.4, run="run", offset=0.0, accelerometer=True):
+def flight(seconds, seed, wind=(0.0, 0.0), gust=0.4, run="run", offset=0.0, accelerometer=True, climb=0.5):
     """Windows of free flight under a position loop that answers gusts; m, s. Euler attitude with a lag of 60 ms, gusts of 1 s."""
     rng = np.random.default_rng(seed)
     n = int(seconds / DT)
@@ -34,7 +34,7 @@ def flight(seconds, seed, wind=(0.0, 0.0), gust=0.4, run="run", offset=0.0, acce
     air = np.array([*wind, 0.0])
     for k in range(n):
         if k % 300 == 0:
-            goal = rng.uniform(-4.0, 4.0, 3) * [1.0, 1.0, 0.5]
+            goal = rng.uniform(-4.0, 4.0, 3) * [1.0, 1.0, climb]
         if k % 2 == 0:
             pull = np.clip(0.8 * (goal - p), -2.5, 2.5) - v
             wanted = np.clip(1.6 * pull, -4.0, 4.0)

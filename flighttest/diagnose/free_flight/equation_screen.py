@@ -1,7 +1,8 @@
 """Score tests of the catalogue on free flight by prediction errors: every linear coefficient of a part of the model in a few passes.
 
 At the optimum of the base model the whitened equations are linear in a candidate's coefficients. Its columns beside the base's give
-the score test (Rao 1948) with a covariance by blocks of 1 to 5 s, so that a spectrum that the noise model missed does not name a term.
+the score test (Rao 1948) with a covariance by the step without each block of 1 to 5 s, so that a spectrum that the noise model missed
+does not name a term.
 A term without a linear coefficient (a limit, a second lag) has what each of its settings changes in the equations for a column.
 """
 
@@ -180,13 +181,10 @@ def _tested(
     count = int(whitened.block.max(initial=-1)) + 1
     if count < FEWEST_BLOCKS + others:
         return None
+    q = left.shape[1]
     inverse, total = np.linalg.pinv(information), left.T @ whitened.residual
     delta = inverse @ total
-    # What the step leaves tells how sure it is: before it every block holds the term itself, and n of them give no more than t^2 = n.
-    scores = np.zeros((count, left.shape[1]))
-    np.add.at(scores, whitened.block, left * (whitened.residual - left @ delta)[:, None])
-    covariance = inverse @ (scores.T @ scores * (count / (count - 1))) @ inverse
-    q = left.shape[1]
+    covariance = _jackknife(np.column_stack([b, c[:, determined]]), whitened)[-q:, -q:]
     dof = count - others - q + 1
     statistic = float(delta @ np.linalg.pinv(covariance) @ delta) / q
     error = np.sqrt(np.diag(covariance))
@@ -199,3 +197,24 @@ def _tested(
         term.id, dict(shape), dict(zip(named, delta.tolist(), strict=False)), fisher_beyond(statistic, q, dof), size,
         dict(zip(named, error.tolist(), strict=False)), 0.5 * float(total @ inverse @ total),
     )  # fmt: skip
+
+
+def _jackknife(columns: FloatArray, whitened: Whitened) -> FloatArray:
+    """Covariance (p, p) of a least squares step by `columns` (n, p), from the step without each block in turn (MacKinnon, Nielsen and Webb,
+    J. Applied Econometrics 38, 2023: CV3).
+
+    The scores of blocks at the base hold the term itself, and n of them give no more than t^2 = n: a curved throttle that 16 blocks of 40
+    showed, by 413 nats of log likelihood, had p 0.011.
+    """
+    order = np.argsort(whitened.block, kind="stable")
+    begins = np.flatnonzero(np.diff(whitened.block[order], prepend=-1))
+    pieces = zip(np.split(columns[order], begins[1:]), np.split(whitened.residual[order], begins[1:]), strict=True)
+    own = [(x.T @ x, x.T @ r) for x, r in pieces]
+    hessian, score = np.sum([h for h, _ in own], axis=0), np.sum([g for _, g in own], axis=0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+
+    def step(h: FloatArray, g: FloatArray) -> FloatArray:
+        return np.asarray(scale * (np.linalg.pinv(h * np.outer(scale, scale), rcond=1e-10) @ (scale * g)))
+
+    apart = np.array([step(hessian - h, score - g) for h, g in own]) - step(hessian, score)
+    return np.asarray(apart.T @ apart) * (len(own) - 1) / len(own)
