@@ -4,7 +4,7 @@ import pytest
 
 from flighttest.report.document import Bullets, Document, Figure, Panel, Trace
 from flighttest.report.render import figures, html
-from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone
+from flighttest.report.sections.diagnosis import diagnosis_sections, missing_sections, verdict_tone
 from flighttest.report.sections.diagnosis_figures import before_after
 
 
@@ -24,6 +24,19 @@ def test_where_something_without_a_name_is_missing_no_page_says_that_nothing_is_
     data = {"verdict": verdict, "sentence": "Something.", "located": [], "findings": []}
     shown = html.page_of(Document("diagnosis", "Something.", "warn", diagnosis_sections(data)))
     assert f"No physics of the catalogue {said}." in shown
+
+
+def test_a_drop_is_printed_no_finer_than_the_errors_beside_it():
+    """Beside 0.0272 and 0.0272 stood "-0.0000014 to 0.0000318", and beside 0.0495 one of 2e-7 in green."""
+    held = {
+        "f_x": {"rmse_before": 0.0272, "rmse_after": 0.0272, "floor": 0.0269, "gain_95": [-1.4e-6, 3.18e-5]},
+        "f_y": {"rmse_before": 0.0495, "rmse_after": 0.0495, "floor": 0.0458, "gain_95": [1e-9, 2.1e-7]},
+        "f_z": {"rmse_before": 0.326, "rmse_after": 0.192, "floor": 0.179, "gain_95": [0.033, 0.226]},
+    }
+    (section,) = missing_sections({"findings": [{"term": "throttle_curve"}], "heldout": held})
+    table = section.blocks[-1]
+    assert [row[-1] for row in table.rows] == ["0.0000 to 0.0000", "0.0000 to 0.0000", "0.033 to 0.226"]
+    assert [row[2].tone for row in table.rows] == ["plain", "plain", "good"]
 
 
 def test_the_responses_shown_are_those_that_missed_by_most_noise_floors():

@@ -16,6 +16,7 @@ from flighttest.report.numbers import interval, number, percent, to_error, unit
 from flighttest.report.sections.diagnosis_figures import before_after, heat_map, regimes
 
 BASELINE_WORDS = {"with what was left out": "improved model"}  # a key of diagnosis.json
+DIGITS = 0.1  # of an error: two digits of this are the last of three that it is printed with
 NORMAL_95 = 1.96  # standard errors: of winds in files that do not state their factor, and of drops
 FEW_PLACES = 2  # where a mismatch is, which a terminal names without being asked
 _VERDICT_TONES: dict[str, Tone] = {
@@ -214,8 +215,11 @@ def _heldout_rows(data: DiagnosisData) -> list[tuple[Cell | str, ...]]:
     rows: list[tuple[Cell | str, ...]] = []
     for channel, h in held.items():
         low, high = (h.get("gain_95") or (None, None))[:2]
-        drop = interval(low, high, None if low is None or high is None else (high - low) / (2.0 * NORMAL_95))
-        better = low is not None and low > 0
+        drop, better = "-", False
+        if low is not None and high is not None:
+            before = h.get("rmse_before") or 0.0
+            drop = interval(low, high, max((high - low) / (2.0 * NORMAL_95), DIGITS * before))
+            better = low > 0.05 * DIGITS * before  # which is seen in the last digit
         after = Cell(number(h.get("rmse_after"), 3), "good" if better else "plain")
         rows.append((channel_words(channel), number(h.get("rmse_before"), 3), after, number(h.get("floor"), 3), drop))
     return rows
