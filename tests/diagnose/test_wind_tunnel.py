@@ -1,7 +1,6 @@
 """The wind of real flights, distinguished from an attitude offset by what it does to the drag."""
 
 from dataclasses import replace
-from functools import cache
 
 import pytest
 
@@ -17,7 +16,6 @@ from flighttest.segments import cut
 FAN_M_S = 4.2  # of the flights `35wind`, from the north
 
 
-@cache
 def read(shared_data, repository, *flights):
     """Segments of some flights, and a model of their vehicle."""
     paths = [shared_data / "wind_tunnel" / f"custom_figure8_{flight}.csv.gz" for flight in flights]

@@ -143,6 +143,16 @@ def test_pieces_that_are_integrated_side_by_side_are_one_flight(monkeypatch):
         assert np.abs(many.columns - few.columns).max() < 1e-3 * np.abs(few.columns).max()
 
 
+def test_a_stretch_with_a_hole_is_estimated_from_what_is_beside_it():
+    """Of sixteen pieces one or two lie in a hole of 9 s."""
+    (whole,) = stretches(flown())
+    kept = (whole.t_s < 30.0) | (whole.t_s > 39.0)
+    holed = replace(whole, t_s=whole.t_s[kept], y={n: v[kept] for n, v in whole.y.items()})
+    found = estimate([holed], Model(attitude_loops=False), free=NAMES, start=TRUTH)
+    assert found.converged
+    assert abs(found.values["K"] - GAIN) < 3.0 * found.std["K"]
+
+
 def test_equations_of_the_wrong_form_widen_intervals():
     """A force by the square of the speed, fitted by a line: the square recurs with the state."""
     some = stretches(flown())

@@ -1,7 +1,7 @@
 """Free flight by prediction errors: the translation and the attitude loops from flights that a pilot or another controller flew.
 
-stretches: the flight without gaps, in pieces integrated side by side; equations: what translation and loops leave over them; estimate:
-their parameters, by least squares on whitened residuals; estimated: what comes of it; winds: a wind of each
+stretches: the flight without gaps; chunks: pieces of it integrated side by side; equations: what translation and loops leave over them;
+estimate: their parameters, by least squares on whitened residuals; estimated: what comes of it; winds: a wind of each
 flight; equation_fit: the estimates as a `Fit`.
 """
 

@@ -23,6 +23,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 CHUNK_S = 10.0  # the longest piece of a stretch
+LEAST_SAMPLES = 3  # of a piece: an equation is between two, and `unbroken` asks for three
 LEAD_S = 1.0  # before each, in which the initial state is forgotten: five time constants of slow motors and of slow attitude loops
 # The same where a term has states of unknown start, a swinging load: 95 % of a swing with a damping ratio of 0.05 on a cable of 1 m.
 MEMORY_S, MEMORY_CHUNK_S = 20.0, 40.0
@@ -102,14 +103,15 @@ class Chunks:
 
 
 def _cut(s: Segment, changed: Mapping[str, FloatArray], lead_s: float, length_s: float) -> list[_Piece]:
-    """A stretch in pieces of equal length, about `length_s` but no shorter than the shortest lead or ten samples."""
+    """A stretch in pieces of equal length, about `length_s` but no shorter than `LEAD_S` or ten samples; without those in a hole."""
     period = float(np.median(np.diff(s.t_s)))
     begin, end = s.t_s[0] + LEAD_S, s.t_s[-1] + period
     count = max(round((end - begin) / max(length_s, LEAD_S, 10.0 * period)), 1)
     found = []
     for start, stop in pairwise(np.linspace(begin, end, count + 1) - 1e-9):
         a, first, b = (int(np.searchsorted(s.t_s, t)) for t in (start - lead_s, start, stop))
-        found.append(_Piece(chunk(s, changed, a, b), slice(first - a, b - a), np.arange(first, b)))
+        if b - first >= LEAST_SAMPLES:
+            found.append(_Piece(chunk(s, changed, a, b), slice(first - a, b - a), np.arange(first, b)))
     return found
 
 
