@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from flighttest.estimation.drift import DRIFT, WANDER_S
 from flighttest.estimation.problem import Part, PartEvaluation
@@ -31,12 +31,11 @@ def autocorrelation(values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
 
 def correlations(part: Part, made: PartEvaluation) -> dict[str, float]:
     """Velocity whose specific force was recorded to the integrated autocorrelation time of its residual within responses, in samples:
-    1 + 2 sum rho(lag), up to the first lag below `UNCORRELATED`. Given the force, kinematics make the velocity: what is left of it is the
-    state estimator's own error, which wanders. A mean and a trend of each response are left out: its own initial state and disturbance take
-    these up, and where they counted as noise, nothing would determine those. No estimator wanders by more than `DRIFT` for `WANDER_S`: what
-    is more than that is the model's error, whose samples count alike."""
+    1 + 2 sum rho(lag), up to the first lag below `UNCORRELATED`, `limited`. Given the force, kinematics make the velocity: what is left of
+    it is the state estimator's own error, which wanders. A mean and a trend of each response are left out: its own initial state and
+    disturbance take these up, and where they counted as noise, nothing would determine those."""
     found = {}
-    interval_s = float(np.median([np.median(np.diff(r.t_s)) for r in part.responses]))
+    wander = wander_of(part)
     for k, name in enumerate(part.outputs):
         if not (name.startswith("v_") and f"f_{name[2]}_m_s2" in part.outputs):
             continue
@@ -49,9 +48,20 @@ def correlations(part: Part, made: PartEvaluation) -> dict[str, float]:
             found[name] = 1.0
             continue
         tau = 1.0 + 2.0 * float(product[1:last].sum() / product[0])
-        most = DRIFT[name] ** 2 * WANDER_S / (interval_s * float(np.mean(residual[mask] ** 2)))
-        found[name] = max(1.0, min(tau, most))
+        found[name] = float(limited(tau, np.mean(residual[mask] ** 2), wander[k]))
     return found
+
+
+def wander_of(part: Part) -> FloatArray:
+    """(n_outputs,) variance times samples that count as one, of what a state estimator can wander by: `DRIFT` for `WANDER_S`."""
+    interval_s = float(np.median([np.median(np.diff(r.t_s)) for r in part.responses]))
+    return np.array([DRIFT.get(c, 0.0) ** 2 for c in part.outputs]) * WANDER_S / interval_s
+
+
+def limited(tau: ArrayLike, variance: ArrayLike, wander: ArrayLike) -> FloatArray:
+    """An autocorrelation time in samples as far as an estimator wanders (`wander_of`), where the residual has this variance, above 0: what
+    is more than that is the model's error, whose samples count alike. Broadcast against each other."""
+    return np.maximum(np.minimum(tau, np.divide(wander, variance)), 1.0)
 
 
 def _without_trend(values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.autocorrelation import correlations
+from flighttest.estimation.autocorrelation import correlations, limited, wander_of
 from flighttest.estimation.problem import Noise, Part, PartEvaluation, Problem, prior_std
 
 FloatArray = NDArray[np.float64]
@@ -174,14 +174,13 @@ class LikelihoodWeights:
 
         The fixed point of MacKay's updates, the locals where they have their minimum in each noise (linearised: no simulation is needed).
         Disturbances vary between repeats of a cell and between windows of free flight where there are enough: what these have in common is
-        the model's error and stays in the residual.
+        the model's error and stays in the residual. A correlation stays one that an estimator's wander can have beside the new noise: a
+        velocity that counts less is predicted worse, and would count less and less.
         """
-        channel, disturbance = dict(self.noise.channel), dict(self.noise.disturbance)
+        found = self.noise
         for part, made, local in zip(self.problem.parts, at.made, at.local, strict=True):
-            found = self._noise_of(part, made, local, len(free))
-            channel |= found.channel
-            disturbance |= found.disturbance
-        return replace(self, noise=Noise(channel, disturbance, self.noise.correlation))
+            found |= self._noise_of(part, made, local, len(free))
+        return replace(self, noise=found)
 
     def _noise_of(self, part: Part, made: PartEvaluation, local: FloatArray, n_free: int) -> Noise:
         """Of one part."""
@@ -198,13 +197,13 @@ class LikelihoodWeights:
         floor = np.array([_STD_FLOOR[_unit(c)] for c in part.outputs])
         # Far from the optimum the locals are not linear: what is left of the residuals where they are limits what may be left.
         lowest_std = np.maximum(LEAST_LEFT * np.sqrt(scale * square.sum(axis=0)), floor)
-        together = np.array([self.noise.correlation.get(c, 1.0) for c in part.outputs])
+        together, wander = np.array([self.noise.correlation.get(c, 1.0) for c in part.outputs]), wander_of(part)
         before, begun = prior_std(part, self.noise), part.start_local()
         spread, lowest = before.copy(), np.array([_least_disturbance(n) for n in part.block.disturbances])
         groups = self.problem.same_mean[index]
         for _ in range(NOISE_STEPS):
             prior = 1.0 / spread**2
-            counted = 1.0 / (together * std**2)
+            counted = 1.0 / (limited(together, std**2, wander) * std**2)
             precision = np.einsum("mklp,k->mlp", gram, counted) + np.einsum("ml,lk->mlk", prior, np.eye(n_l))
             posterior = np.linalg.inv(regular(precision)) if n_l else precision
             pull = np.einsum("mkl,k->ml", moment, counted) + prior * (begun - local)
@@ -223,9 +222,11 @@ class LikelihoodWeights:
                     spread[:, k] *= moved[-1]
             if all(np.all(np.abs(one - 1.0) < NOISE_TOLERANCE) for one in moved):
                 break
+        together = limited(together, std**2, wander)
         return Noise(
             dict(zip(part.outputs, std.tolist(), strict=True)),
             dict(zip(part.block.disturbances, spread[0, n_l - n_d :].tolist(), strict=True)),
+            {c: float(t) for c, t in zip(part.outputs, together, strict=True) if c in self.noise.correlation},
         )
 
 
