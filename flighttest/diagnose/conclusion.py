@@ -83,14 +83,14 @@ def moved_parameters(previous: Mapping[str, tuple[float, float | None]], after: 
 
 
 def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
-    """Channels (short) that the model with what is named predicts worse, of responses not used: the 95 % interval of the drop in RMSE is
-    below zero, and the error is above the noise floor."""
-    worse = {c: rows["all"] for c, rows in held.items() if rows["all"]["gain_95"][1] < 0.0}
-    said = [
-        f"{channel_words(c)} ({_larger(row['rmse_after'] / row['rmse_before'])})"
-        for c, row in worse.items()
-        if row["rmse_after"] > row["floor"]
-    ]
+    """Channels (short) that the model with what is named predicts worse, of responses not used, above the noise floor: surely, where the
+    95 % interval of the drop in RMSE is below zero; else where the error is larger by more than what may stay of one that is explained."""
+    said = []
+    for channel, rows in held.items():
+        row = rows["all"]
+        ratio, surely = row["rmse_after"] / max(row["rmse_before"], 1e-300), row["gain_95"][1] < 0.0
+        if row["rmse_after"] > row["floor"] and (surely or ratio > 1.0 + EXPLAINED_SHARE):
+            said.append(f"{channel_words(channel)} ({_larger(ratio)}{'' if surely else ', which may be chance'})")
     return f" On data not used it predicts worse than the base model: {', '.join(said)}." if said else ""
 
 

@@ -77,15 +77,18 @@ def test_the_gain_is_the_share_of_what_lies_above_the_floor(before, after, gain)
     [
         (0.66, -0.28, "acceleration west (3.3 times the error)"),
         (0.226, -0.01, "acceleration west (13 % more error)"),
-        (0.66, 0.02, ""),
+        (0.66, 0.02, "acceleration west (3.3 times the error, which may be chance)"),
+        (0.25, 0.02, "acceleration west (25 % more error, which may be chance)"),
+        (0.23, 0.02, ""),
         (0.03, -0.01, ""),
         (0.1, 0.15, ""),
     ],
 )
 def test_what_is_predicted_worse_with_what_is_named_is_said_in_the_headline(after, high, said):
-    """Only what is surely worse, and above the noise floor."""
+    """What is surely worse, or by more than a fifth, and above the noise floor. Seven flights, of which two had 14 and 60 % more error in
+    roll, had an interval that contained zero, and 25 % more error was not said."""
     row = HeldOutRow(rmse_before=0.2, rmse_after=after, floor=0.04, gain_95=[-0.6, high])
-    other = HeldOutRow(rmse_before=0.2, rmse_after=0.3, floor=0.04, gain_95=[-0.2, 0.1])
+    other = HeldOutRow(rmse_before=0.2, rmse_after=0.22, floor=0.04, gain_95=[-0.2, 0.1])
     sentence = predicted_worse({"a_y": {"all": row}, "v_z": {"all": other}})
     assert (said in sentence) if said else sentence == ""
     assert "velocity" not in sentence
