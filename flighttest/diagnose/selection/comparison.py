@@ -234,7 +234,11 @@ def evidence_of(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )
     change = change_by_stratum(after.rows, before.rows)
-    intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
+    intervals = {
+        name: interval
+        for name, interval in stratum_gains(before, after, groups).items()
+        if name not in aside and visible(change.get(name))
+    }
     return Evidence(
         term=term.id,
         nats=nats,
@@ -245,7 +249,7 @@ def evidence_of(
         profiled=profiled,
         inadmissible=inadmissible(term, fitted, segments, candidates, repeated=floor.repeated(*place)),
         without=without,
-        improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0 and visible(change.get(name))),
+        improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
     )
 
