@@ -68,7 +68,7 @@ class Scripted(Search):
     def linearise(self):
         self.candidates = [
             SimpleNamespace(
-                term=SimpleNamespace(id=t.id, shapes=("s",) if t.id in self.bent else ()),
+                term=SimpleNamespace(id=t.id, shapes=("s",) if t.id in self.bent else (), states=()),
                 names=() if t.id in self.bare else ("c",),
             )
             for t in self.pool
