@@ -136,7 +136,7 @@ velocity_latency = Term(
     hides_in=("d_x", "d_y", "d_z"),
     told_apart_by="fast reversals",
     reveals="lateral_stop",
-    needs=("v_x_m_s",),
+    needs=("v_z_m_s",),
     states=(
         *(State(name, "m/s^2", "mean acceleration while the velocity was on its way", free=True, spread=1.0) for name in _LATE),
         *(State(name, "m/s^3", "its derivative") for name in _LATE_RATE),
