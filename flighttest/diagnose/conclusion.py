@@ -89,7 +89,8 @@ def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
     for channel, rows in held.items():
         row = rows["all"]
         ratio, surely = row["rmse_after"] / max(row["rmse_before"], 1e-300), row["gain_95"][1] < 0.0
-        if row["rmse_after"] > row["floor"] and (surely or ratio > 1.0 + EXPLAINED_SHARE):
+        worse = ratio >= 1.0005 if surely else ratio > 1.0 + EXPLAINED_SHARE  # the first: not printed as 0.0 %
+        if row["rmse_after"] > row["floor"] and worse:
             said.append(f"{channel_words(channel)} ({_larger(ratio)}{'' if surely else ', which may be chance'})")
     return f" On data not used it predicts worse than the base model: {', '.join(said)}." if said else ""
 
