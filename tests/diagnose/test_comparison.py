@@ -8,7 +8,7 @@ import pytest
 from made_rows import autoregressive, responses, rows_of
 from scipy.stats import multivariate_normal
 
-from flighttest.diagnose.residuals.lack_of_fit import floor_of
+from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, floor_of
 from flighttest.diagnose.selection.candidates import redundant
 from flighttest.diagnose.selection.comparison import (
     Evidence,
@@ -27,6 +27,7 @@ from flighttest.diagnose.selection.held_out import (
     CrossValidation,
     ParameterPrior,
     cross_validated,
+    share_left,
     stratum_gains,
 )
 from flighttest.estimation.linearisation import Optimum
@@ -401,6 +402,18 @@ def test_what_improves_no_prediction_of_unused_steps_is_not_named():
     assert "not used" in replace(found(), improved=()).why_not
     assert replace(found(), worsened=("f_x_m_s2",)).why_not == ""
     assert "worse" in replace(found(), worsened=("f_x_m_s2", "v_x_m_s")).why_not
+
+
+@pytest.mark.parametrize(("second", "share"), [(3.0, 0.6), (1.2, 0.2), (0.9, 0.2)])
+def test_what_stays_is_counted_where_it_was_as_large_as_the_floor(second, share):
+    """Of one channel a fifth of the excess over the floor stays, of the other all of it."""
+    channel, floor = np.tile([0, 1], 500), NoiseFloor({"f_z_m_s2": 1.0, "v_z_m_s": 1.0}, frozenset(), {})
+    before, after = (
+        rows_of(np.where(channel == 0, of_first, second), np.zeros((1000, 0)), 20, channel=channel)
+        for of_first in (np.sqrt(6.0), np.sqrt(2.0))
+    )
+    assert share_left(before, after, floor) == pytest.approx(share)
+    assert share_left(after, after, NoiseFloor({"f_z_m_s2": 5.0, "v_z_m_s": 5.0}, frozenset(), {})) == 0.0
 
 
 def test_of_few_groups_all_but_any_one_have_to_be_predicted_better(rng):

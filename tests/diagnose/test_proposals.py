@@ -15,13 +15,15 @@ from flighttest.diagnose.selection.subsets import Scored
 N, FLOOR = 1000, 0.5
 
 
-def candidate(name, columns, nominal=1e3, shapes=(), states=()):
+def candidate(name, columns, nominal=1e3):
     columns = np.asarray(columns, dtype=float).reshape(len(columns), -1)
     names = tuple(f"{name}{k}" for k in range(columns.shape[1]))
     params = tuple(SimpleNamespace(name=n, nominal=nominal, off=0.0, prior_std=3.0 * abs(nominal)) for n in names)
-    return Candidate(
-        SimpleNamespace(id=name, params=params, shapes=shapes, states=states), {}, names, columns, lambda: columns
-    )
+    return Candidate(SimpleNamespace(id=name, params=params), {}, names, columns, lambda: columns)
+
+
+def never(_candidate):
+    return False
 
 
 def sizes(base, candidates):
@@ -77,35 +79,22 @@ def test_what_is_surely_too_small_for_a_name_is_not_refitted(rng, share, refitte
     found = sizes(np.zeros((N, 0)), [candidate("a", a)])
     size = share * LEAST_FLOORS * FLOOR / np.sqrt(np.mean(a**2))
     asked = [Scored((0,), 5.0, np.array([size]))]
-    assert bool(proposals(asked, found, False, False)) is refitted
+    assert bool(proposals(asked, found, never)) is refitted
 
 
 def test_a_subset_with_a_term_that_is_too_small_is_left_to_the_one_without_it(rng):
     a, b = rng.normal(size=(N, 1)), rng.normal(size=(N, 1))
     found = sizes(np.zeros((N, 0)), [candidate("a", a), candidate("b", b)])
     both, one = Scored((0, 1), 9.0, np.array([1.0, 0.1])), Scored((0,), 8.0, np.array([1.0]))
-    assert proposals([both, one], found, False, False) == [one]
+    assert proposals([both, one], found, never) == [one]
 
 
-def test_a_score_says_little_of_what_is_not_linear(rng):
-    """Where a fit is lacking it is tried all the same, once and alone."""
+def test_what_is_asked_for_whatever_its_score_is_tried_once_and_alone(rng):
     a = rng.normal(size=(N, 1))
-    of = [candidate("linear", a), candidate("shaped", a, shapes=("tau",))]
-    found = sizes(np.zeros((N, 0)), of)
-    linear, shaped = (Scored((k,), odds, np.array([1e-3])) for k, odds in enumerate((5.0, 5.0)))
-    assert proposals([linear, shaped], found, False, True) == []
-    assert proposals([linear, shaped], found, True, False) == []
-    assert proposals([linear, shaped], found, True, True) == [shaped]
+    found = sizes(np.zeros((N, 0)), [candidate("linear", a), candidate("shaped", a)])
+    linear, shaped = (Scored((k,), odds, np.array([1e-3])) for k, odds in enumerate((5.0, -5.0)))
+    both = Scored((0, 1), 9.0, np.array([1e-3, 1e-3]))
+    assert proposals([both, linear, shaped], found, never) == []
+    assert proposals([both, linear, shaped], found, lambda c: c.term.id == "shaped") == [shaped]
     large = Scored((1,), 5.0, np.array([10.0]))
-    assert proposals([large], found, True, True) == [large]
-
-
-@pytest.mark.parametrize("nonlinear", [True, False])
-def test_states_that_are_free_at_the_start_change_nothing_where_a_score_is_taken(rng, nonlinear):
-    """A load swings as each window of free flight began, and without any load nothing swings: 0.3 of the mass beside a translational lift
-    had log odds of -4 and 29,000 nats."""
-    states = (SimpleNamespace(free=False), SimpleNamespace(free=True))
-    of = [candidate("load", rng.normal(size=(N, 1)), shapes=("cable",), states=states)]
-    found, score = sizes(np.zeros((N, 0)), of), Scored((0,), -4.0, np.array([0.0]))
-    assert proposals([score], found, True, nonlinear) == [score]
-    assert proposals([score], found, False, nonlinear) == []
+    assert proposals([large], found, lambda _: True) == [large]

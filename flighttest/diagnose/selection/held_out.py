@@ -323,3 +323,11 @@ def excess(rows: Linearisation, floor: NoiseFloor) -> dict[str, float]:
         at = rows.channel == c
         found[name] = max(float(np.mean(raw[at] ** 2)) - floor.whole(name) ** 2, 0.0) if at.any() else 0.0
     return found
+
+
+def share_left(first: Linearisation, last: Linearisation, floor: NoiseFloor) -> float:
+    """Of the mean square above the floor that one model leaves (`excess`), the share that another leaves: mean over the channels in which
+    it is as large as the floor's; 0 where there are none."""
+    left = excess(last, floor)
+    shares = [min(left[n] / v, 1.0) for n, v in excess(first, floor).items() if v >= floor.whole(n) ** 2]
+    return float(np.mean(shares)) if shares else 0.0

@@ -11,7 +11,7 @@ out, since `comparison` would refuse that term, and the subset without it is pro
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -101,21 +101,12 @@ class PredictedSizes:
         return common, np.array(products).reshape(-1, *common.shape)
 
 
-def proposals(scored: Sequence[Scored], sizes: PredictedSizes, lack_of_fit: bool, nonlinear: bool) -> list[Scored]:
-    """Subsets to refit, best first. lack_of_fit: then every other term that a score says little of, too: those without a linear
-    coefficient; those with states of their own that are free at the start of a response, which change nothing at the null value (a load of
-    0.3 of the mass, swinging as each window began, had log odds of -4 and 29,000 nats); and, where asked for, every nonlinear one: a score
-    is a derivative at the null value, and shows little where the effect is large and the base moved far for it (a slung load of 0.29 of the
-    mass had none, and 151,000 nats)."""
+def proposals(
+    scored: Sequence[Scored], sizes: PredictedSizes, whatever_its_score: Callable[[Candidate], bool]
+) -> list[Scored]:
+    """Subsets to refit, best first: those with odds in their favour, then alone every candidate that is asked for whatever its score."""
     found = [s for s in scored if s.log_odds > 0.0]
     found = [s for s, size in zip(found, sizes.least(found), strict=True) if size >= LEAST_PREDICTED]
-    if not lack_of_fit:
-        return found
     proposed = {s.members for s in found}
-    alone = [(s, sizes.candidates[s.members[0]]) for s in scored if len(s.members) == 1 and s.members not in proposed]
-    return found + [s for s, c in alone if not c.names or _free(c) or (c.term.shapes and nonlinear)]
-
-
-def _free(candidate: Candidate) -> bool:
-    """Whether its term has states that are free at the start of a response."""
-    return any(state.free for state in candidate.term.states)
+    alone = [s for s in scored if len(s.members) == 1 and s.members not in proposed]
+    return found + [s for s in alone if whatever_its_score(sizes.candidates[s.members[0]])]
