@@ -26,6 +26,7 @@ Fields = dict[str, NDArray[Any]]
 _TOPICS = [
     "vehicle_attitude", "vehicle_angular_velocity", "sensor_combined", "vehicle_acceleration", "vehicle_attitude_setpoint",
     "vehicle_rates_setpoint", "vehicle_local_position", "battery_status", "vehicle_thrust_setpoint", "vehicle_status", "distance_sensor",
+    "actuator_motors",
 ]  # fmt: skip
 # What pyulog raises on damaged bytes.
 _DAMAGED = (
@@ -112,6 +113,7 @@ class _Importer:
             "velocity": self._local(("vx", "vy", "vz"), _V),
             "position": self._local(("x", "y", "z"), _P),
             "battery": self._battery(),
+            "motors": self._motors(),
             "state": self._state(),
         }
         series = {group: one for group, one in groups.items() if one is not None and len(one)}
@@ -271,6 +273,17 @@ class _Importer:
             current_a = _float(fields["current_a"])
             columns["current_a"] = np.where(current_a >= 0, current_a, np.nan)
         return ordered(t_s, columns, "battery_status", self.losses)
+
+    def _motors(self) -> Series | None:
+        """Commands of the motors of a quadrotor. Outputs, all that PX4 before 1.13 logs, do not say what is on them."""
+        topic = self._topic("actuator_motors")
+        if topic is None or "control[3]" not in topic[1]:
+            return None
+        fifth = topic[1].get("control[4]")
+        if fifth is not None and bool(np.isfinite(fifth).any()):  # not a number where there is no motor
+            return None
+        values = np.clip(_stack(topic[1], *(f"control[{k}]" for k in range(4))), 0.0, 1.0)
+        return self._series(topic[0], values, tuple(f"motor_{k}" for k in range(1, 5)), "actuator_motors")
 
     def _state(self) -> Series | None:
         topic = self._topic("vehicle_status")

@@ -133,6 +133,17 @@ def _system_status(raw: Raw) -> ChannelColumns:
     return {"voltage_v": voltage * 1e-3, "current_a": np.where(current < 0, np.nan, current * 1e-2)}
 
 
+def motor_columns(outputs_us: FloatArray) -> ChannelColumns:
+    """Commands 0..1 of four motors from the pulses of their outputs, us (n, 4), by the range of 1000 to 2000 that motors have by default;
+    not a number where an output is off."""
+    command = np.where(outputs_us > 0.0, np.clip((outputs_us - 1000.0) / 1000.0, 0.0, 1.0), np.nan)
+    return {f"motor_{k + 1}": command[:, k] for k in range(4)}
+
+
+def _first_outputs(raw: Raw) -> NDArray[np.bool_]:
+    return np.asarray((raw["port"] == 0) & (np.stack([raw[n] for n in _SERVOS], axis=-1) > 0).all(axis=-1))
+
+
 def _has_fix(raw: Raw) -> NDArray[np.bool_]:
     """Without a satellite fix GLOBAL_POSITION_INT is sent all the same, with zeros that mean nothing."""
     return np.asarray((raw["lat"] != 0) | (raw["lon"] != 0))
@@ -157,6 +168,7 @@ _V = ("vx", "vy", "vz")
 _RPY = ("roll", "pitch", "yaw")
 _BODY_RATES = ("rollspeed", "pitchspeed", "yawspeed")
 _Q = ("q1", "q2", "q3", "q4")
+_SERVOS = ("servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw")
 
 RULES: tuple[Rule, ...] = (
     Rule("attitude", "ATTITUDE", "time_boot_ms", _RPY, _attitude),
@@ -228,6 +240,14 @@ RULES: tuple[Rule, ...] = (
         keep=_first_battery,
     ),
     Rule("battery", "SYS_STATUS", None, ("voltage_battery", "current_battery"), _system_status, keep=_monitored),
+    Rule(
+        "motors",
+        "SERVO_OUTPUT_RAW",
+        None,  # time_usec begins anew after 71 minutes
+        ("port", *_SERVOS),
+        lambda raw: motor_columns(np.stack([raw[n] for n in _SERVOS], axis=-1)),
+        keep=_first_outputs,
+    ),
     Rule("shaped", "ATTITUDE_TARGET", "time_boot_ms", ("q", "body_yaw_rate"), _shaped),
 )
 

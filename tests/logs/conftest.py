@@ -115,8 +115,8 @@ def ulog_bytes():
     return small_ulog
 
 
-def small_ulog() -> bytes:
-    """A PX4 log of 3 s: attitude at 100 Hz rolled 0.1 rad (NED), setpoints, accelerometer, battery."""
+def small_ulog(fifth: float = np.nan) -> bytes:
+    """A PX4 log of 3 s: attitude at 100 Hz rolled 0.1 rad (NED), setpoints, accelerometer, battery, four motors and perhaps a fifth."""
 
     def message(kind: str, body: bytes) -> bytes:
         return struct.pack("<HB", len(body), ord(kind)) + body
@@ -133,6 +133,7 @@ def small_ulog() -> bytes:
             "sensor_combined": ("uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;", "Q3f3f"),
             "battery_status": ("uint64_t timestamp;float voltage_v;float current_a;", "Qff"),
             "vehicle_status": ("uint64_t timestamp;uint8_t nav_state;uint8_t arming_state;", "QBB"),
+            "actuator_motors": ("uint64_t timestamp;float[12] control;", "Q12f"),
         }
         for name, (layout, _) in formats.items():
             out += message("F", f"{name}:{layout}".encode())
@@ -155,6 +156,7 @@ def small_ulog() -> bytes:
                 out += data(1, t, np.cos(0.1), 0.0, np.sin(0.1), 0.0, 0.0, 0.0, -0.4, 0.5)
             if k % 10 == 0:
                 out += data(3, t, 15.5, 12.0)
+                out += data(5, t, 0.4, 0.5, 0.6, 0.7, fifth, *(7 * [np.nan]))
         return out
 
     return build()

@@ -235,6 +235,33 @@ def test_of_two_batteries_the_one_that_shows_its_voltage_is_read(dataflash, tmp_
     assert import_log(log.save(tmp_path / "a.bin")).channel("voltage_v")[1].min() == pytest.approx(23.0)
 
 
+@pytest.mark.parametrize(
+    ("labels", "functions", "expected"),
+    [
+        ("C1,C2,C3,C4,C5,C6", {}, [0.1, 0.2, 0.3, 0.4]),
+        ("Ch1,Ch2,Ch3,Ch4,Ch5,Ch6", {}, [0.1, 0.2, 0.3, 0.4]),  # Copter 3.2
+        ("C1,C2,C3,C4,C5,C6", {1: 36, 2: 34, 4: 33, 6: 35}, [0.4, 0.2, 0.6, 0.1]),
+        ("C1,C2,C3,C4,C5,C6", {k: 32 + k for k in range(1, 7)}, None),  # six motors
+        ("C1,C2", {}, None),
+    ],
+)
+def test_the_commands_of_four_motors_are_those_of_the_outputs_that_they_are_on(
+    dataflash, tmp_path, labels, functions, expected
+):
+    log = with_attitude(dataflash())
+    log.format("PARM", "QNff", "TimeUS,Name,Value,Default")
+    count = labels.count(",") + 1
+    log.format("RCOU", "Q" + "H" * count, f"TimeUS,{labels}")
+    for output, function in functions.items():
+        log.write("PARM", 10_000_000, f"SERVO{output}_FUNCTION", float(function), 0.0)
+    for k in range(100):
+        log.write("ATT", 10_000_000 + 20_000 * k, 0, 0, 0, 0, 0, 0)
+        log.write("RCOU", 10_000_000 + 20_000 * k, *(1100 + 100 * n for n in range(count)))
+    r = import_log(log.save(tmp_path / "a.bin"))
+    found = [r.channel(f"motor_{k}")[1][0] for k in range(1, 5)] if r.has("motor_1") else None
+    assert found == (expected and pytest.approx(expected))
+
+
 def test_rates_without_an_attitude_are_no_level_attitude(dataflash, tmp_path):
     log = with_attitude(dataflash())
     log.format("GUIA", "QBffffffff", "TimeUS,Type,Roll,Pitch,Yaw,RollRt,PitchRt,YawRt,Thrust,ClimbRt")

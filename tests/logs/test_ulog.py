@@ -19,8 +19,14 @@ def test_px4_topics_become_channels(tmp_path, ulog_bytes):
     assert f == pytest.approx([0.5, -0.25, 9.75])
     assert r.channel("r_rad_s")[1][0] == pytest.approx(-0.3)
     assert r.channel("armed")[1][0] == 1.0
+    assert [r.channel(f"motor_{k}")[1][0] for k in range(1, 5)] == pytest.approx([0.4, 0.5, 0.6, 0.7])
     assert r.series["attitude"].t_s[0] == pytest.approx(1.0)
     assert [m.label for m in r.markers if m.kind == "mode"] == ["OFFBOARD"]
+
+
+def test_six_motors_are_not_four(tmp_path, ulog_bytes):
+    (tmp_path / "a.ulg").write_bytes(ulog_bytes(fifth=0.5))
+    assert not import_log(tmp_path / "a.ulg").has("motor_1")
 
 
 def test_damage_never_crashes(attempt, tmp_path, ulog_bytes):

@@ -117,6 +117,8 @@ CASES = [
     (dialect.MAVLink_sys_status_message(0, 0, 0, 0, 22100, 1250, 50, 0, 0, 0, 0, 0, 0), "battery",
      {"voltage_v": 22.1, "current_a": 12.5}),
     (dialect.MAVLink_distance_sensor_message(1000, 20, 700, 123, 0, 0, 25, 0), "height", {"height_m": 1.23}),
+    (dialect.MAVLink_servo_output_raw_message(1000, 0, 1000, 1400, 2050, 900, 0, 0, 0, 0), "motors",
+     {"motor_1": 0.0, "motor_2": 0.4, "motor_3": 1.0, "motor_4": 0.0}),
 ]  # fmt: skip
 
 
@@ -134,6 +136,9 @@ def test_what_does_not_belong_is_left_out() -> None:
     assert columns_of(rule("DISTANCE_SENSOR", "height"), forward) is None
     too_far = wire(dialect.MAVLink_distance_sensor_message(1000, 20, 700, 700, 0, 0, 25, 0))
     assert columns_of(rule("DISTANCE_SENSOR", "height"), too_far) is None
+    for port, fourth in ((1, 1400), (0, 0)):
+        others = wire(dialect.MAVLink_servo_output_raw_message(1000, port, 1400, 1400, 1400, fourth, 0, 0, 0, 0))
+        assert columns_of(rule("SERVO_OUTPUT_RAW", "motors"), others) is None
     no_fix = wire(dialect.MAVLink_global_position_int_message(1000, 0, 0, 0, 0, 0, 0, 0, 0))
     assert columns_of(rule("GLOBAL_POSITION_INT", "velocity"), no_fix) is None
 

@@ -23,7 +23,7 @@ from flighttest.logs.ardupilot.times import Stamped, Times
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.timing import ordered
 from flighttest.mavlink import offset_m
-from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY
+from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY, motor_columns
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.recording.manifest import ClockData
 
@@ -40,6 +40,7 @@ WANTED: dict[str, tuple[str, ...] | None] = {
     "IMU": (*_TIME, "I", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
     "GUIA": (*_TIME, "Type", "Roll", "Pitch", "Yaw", "RollRt", "PitchRt", "YawRt", "Thrust", "ClimbRt"),
     "CTUN": (*_TIME, "ThI", "ThO", "ThrIn", "ThrOut"),
+    "RCOU": (*_TIME, *(f"{prefix}{k}" for prefix in ("C", "Ch") for k in range(1, 15))),
     "BAT": _BATTERY,
     "CURR": _BATTERY,
     "XKF1": _EKF,
@@ -73,6 +74,7 @@ _CONSTANT_POSITION = 1 << 7  # of the EKF's solution status (AP_Nav_Common.h)
 _FACING_DOWN = 25
 _RANGE_GOOD = 4
 _GPS_3D = 3
+_MOTOR = 32  # SERVOn_FUNCTION of the first motor is one more (SRV_Channel.h)
 
 
 def import_ardupilot_bin(path: Path) -> Recording:
@@ -128,6 +130,7 @@ class _Importer:
         self._motion(series)
         self._put(series, "height", self._height(series))
         self._put(series, "battery", self._battery())
+        self._put(series, "motors", self._motors())
         if not {"attitude", "specific_force", "velocity"} & set(series):
             raise RecordingError(
                 f"{self.path}: neither attitude nor acceleration nor velocity is in the log",
@@ -308,6 +311,18 @@ class _Importer:
             current = table.get("Curr") * scale
             columns["current_a"] = np.where(current >= 0, current, np.nan)
         return ordered(t_s, columns, table.format.name, self.losses)
+
+    def _motors(self) -> Series | None:
+        """Commands of the motors of a quadrotor, by the outputs that they are on (SERVOn_FUNCTION)."""
+        if "RCOU" not in self.tables:
+            return None
+        on = {int(self.parameters.get(f"SERVO{n}_FUNCTION", 0)): n for n in range(1, 15)}
+        table, t_s = self.tables["RCOU"]
+        prefix = "C" if "C1" in table else "Ch"
+        fields = [f"{prefix}{on.get(_MOTOR + k, k)}" for k in range(1, 5)]
+        if _MOTOR + 5 in on or not all(field in table for field in fields):
+            return None
+        return ordered(t_s, motor_columns(stack(table, *fields)), "RCOU", self.losses)
 
     def _drop_unmonitored(self, name: str) -> None:
         """Leave out batteries that were set up for their current alone, where another one measures its voltage."""
