@@ -10,7 +10,7 @@ import numpy as np
 
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
 from flighttest.diagnose.selection.admissible import unit_suffix
-from flighttest.diagnose.selection.candidates import null_value
+from flighttest.diagnose.selection.candidates import null_value, redundant
 from flighttest.diagnose.selection.comparison import (
     Fitted,
     level_of,
@@ -19,7 +19,7 @@ from flighttest.diagnose.selection.comparison import (
     rows_in_noise_of,
 )
 from flighttest.estimation.estimator import Estimator
-from flighttest.estimation.linearisation import IntArray
+from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation
 from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.physics.core import Param, Term
@@ -33,8 +33,15 @@ def may_be_nothing(
     alone = undriven(term, fitted, without, estimator, groups)
     if alone:
         return alone
-    before, after = (rows_in_noise_of(fitted, one, estimator).residual for one in (without, fitted))
+    before, after = (_counted(rows_in_noise_of(fitted, one, estimator), term) for one in (without, fitted))
     return may_be_absent(term, fitted, float(before @ before - after @ after), estimator, candidates)
+
+
+def _counted(rows: Linearisation, term: Term) -> FloatArray:
+    """Whitened residuals of the strata that contain information on a term: what a load takes of the velocity's own error, beside a recorded
+    specific force, is no sign of it."""
+    aside = [k for k, name in enumerate(rows.strata) if name in redundant(term, rows.strata)]
+    return np.asarray(rows.residual[~np.isin(rows.stratum, aside)])
 
 
 def undriven(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:
