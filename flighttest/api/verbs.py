@@ -32,7 +32,6 @@ from flighttest.recording.model import Recording
 if TYPE_CHECKING:
     from flighttest.api.answers import Diagnosed, Fitted, Models, Planned, Responses, Validated, Validity
     from flighttest.api.fitted_model import FittedModel
-    from flighttest.identify.models.model_blocks import ModelData
     from flighttest.physics.model import Model
     from flighttest.pipeline.results import Result
     from flighttest.sim.simulation import Simulation
@@ -93,8 +92,11 @@ def fit(
 def _fitted(result: Result) -> Fitted:
     from flighttest.api.answers import Fitted
     from flighttest.api.fitted_model import model_of
+    from flighttest.identify.models.model_blocks import ModelData
 
-    model = model_of(result.value, cast("ModelData", {k: v for k, v in result.data.items() if k != "losses"}))
+    # Winds, motors and losses are reported of a fit and not kept in its model.
+    kept = cast(ModelData, {k: v for k, v in result.data.items() if k in ModelData.__annotations__})
+    model = model_of(result.value, kept)
     return Fitted(document=result.document, data=result.data, status=result.status, fit=result.value, model=model)
 
 
