@@ -89,14 +89,20 @@ def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
     for channel, rows in held.items():
         row = rows["all"]
         ratio, surely = row["rmse_after"] / max(row["rmse_before"], 1e-300), row["gain_95"][1] < 0.0
-        worse = ratio >= 1.0005 if surely else ratio > 1.0 + EXPLAINED_SHARE  # the first: not printed as 0.0 %
-        if row["rmse_after"] > row["floor"] and worse:
+        shown = _per_cent(ratio) > 0.0 if surely else ratio > 1.0 + EXPLAINED_SHARE
+        if row["rmse_after"] > row["floor"] and shown:
             said.append(f"{channel_words(channel)} ({_larger(ratio)}{'' if surely else ', which may be chance'})")
     return f" On data not used it predicts worse than the base model: {', '.join(said)}." if said else ""
 
 
-def _larger(ratio: float) -> str:
+def _per_cent(ratio: float) -> float:
+    """What a ratio is more than one, per cent, as finely as it is printed."""
     more = 100.0 * (ratio - 1.0)
+    return round(more, 0 if more >= 1.0 else 1)
+
+
+def _larger(ratio: float) -> str:
+    more = _per_cent(ratio)
     return f"{ratio:.2g} times the error" if ratio >= 2.0 else f"{more:.{0 if more >= 1.0 else 1}f} % more error"
 
 

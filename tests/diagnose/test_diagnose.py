@@ -193,7 +193,12 @@ def test_what_shows_in_horizontal_motion_needs_the_attitude():
     """Of hops without a recorded pitch only the vertical is compared: a slung load of 1.2 vehicle masses took the place of their gain."""
     flown = tilts()
     blind = [replace(s, y={k: v for k, v in s.y.items() if k != "pitch_rad"}) for s in flown]
-    for term, needed in (("slung_payload", ("pitch_rad",)), ("steady_wind", ("pitch_rad",)), ("axial_inflow", ())):
+    for term, needed in (
+        ("slung_payload", ("pitch_rad",)),
+        ("steady_wind", ("pitch_rad",)),
+        ("axial_inflow", ()),
+        ("velocity_latency", ()),
+    ):
         assert missing_channels(catalogue()[term], flown) == ()
         assert missing_channels(catalogue()[term], blind) == needed
         assert missing_channels(catalogue()[term], [*blind, flown[0]]) == ()

@@ -80,6 +80,8 @@ def test_the_gain_is_the_share_of_what_lies_above_the_floor(before, after, gain)
         (0.66, 0.02, "acceleration west (3.3 times the error, which may be chance)"),
         (0.25, 0.02, "acceleration west (25 % more error, which may be chance)"),
         (0.23, 0.02, ""),
+        (0.2002, -1e-4, "acceleration west (0.1 % more error)"),
+        (0.20005, -1e-5, ""),
         (0.03, -0.01, ""),
         (0.1, 0.15, ""),
     ],

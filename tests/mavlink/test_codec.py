@@ -20,7 +20,7 @@ from flighttest.mavlink import (
 )
 from flighttest.mavlink.dialect import dialect, firmware_version, parser
 from flighttest.mavlink.targets import REFERENCE_FIELDS, reference_columns
-from flighttest.mavlink.telemetry import RULES, rules_of
+from flighttest.mavlink.telemetry import RULES, motor_columns, rules_of
 
 NOSE_DOWN_LEFT = {"roll_rad": 0.2, "pitch_rad": 0.3, "yaw_rad": 0.5}
 
@@ -127,6 +127,11 @@ def test_each_message_by_hand(message: Any, group: str, expected: dict[str, floa
     m = wire(message)
     found = columns_of(rule(m.get_type(), group), m)
     assert found == pytest.approx(expected, nan_ok=True, abs=1e-6)
+
+
+def test_an_output_that_is_off_is_no_motor_at_rest() -> None:
+    found = motor_columns(np.array([[0.0, 1000.0, 1500.0, 2000.0]]))
+    assert [float(found[f"motor_{k}"][0]) for k in range(1, 5)] == pytest.approx([np.nan, 0.0, 0.5, 1.0], nan_ok=True)
 
 
 def test_what_does_not_belong_is_left_out() -> None:
