@@ -3,72 +3,74 @@ last, since they take fits and a covariance."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
 from flighttest.diagnose.selection.admissible import unit_suffix
 from flighttest.diagnose.selection.candidates import null_value, redundant
-from flighttest.diagnose.selection.comparison import (
-    Fitted,
-    level_of,
-    log_evidence,
-    log_odds_asked,
-    rows_in_noise_of,
-)
+from flighttest.diagnose.selection.comparison import PROBABILITY, Fitted, level_of, rows_in_noise_of
 from flighttest.estimation.estimator import Estimator
-from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation
+from flighttest.estimation.linearisation import FloatArray, Linearisation
 from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
-from flighttest.physics.core import Param, Term
+from flighttest.physics.core import Contribution, Param, Signals, Term, Values
 
 
-def may_be_nothing(
-    term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray, candidates: int
-) -> str:
+def may_be_nothing(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, candidates: int) -> str:
     """Why a term that is needed beside the rest of a fitted model may be nothing all the same, empty where it is something. without: the
     model fitted without it; candidates: terms of the search."""
-    alone = undriven(term, fitted, without, estimator, groups)
-    if alone:
-        return alone
-    before, after = (_counted(rows_in_noise_of(fitted, one, estimator), term) for one in (without, fitted))
-    return may_be_absent(term, fitted, float(before @ before - after @ after), estimator, candidates)
+    known = estimator.covariance(fitted.model, fitted.at, fitted.names)
+    absent = may_be_absent(term, fitted, gain_over(without, term, fitted, estimator), known, estimator, candidates)
+    return absent or undriven(term, fitted, known, estimator)
+
+
+def gain_over(smaller: Fitted, term: Term, fitted: Fitted, estimator: Estimator) -> float:
+    """Twice what a fitted model's log likelihood is above a smaller one's, in its noise and in the strata that contain information on a
+    term: what a load takes of the velocity's own error, beside a recorded specific force, is no sign of it."""
+    before, after = (_counted(rows_in_noise_of(fitted, one, estimator), term) for one in (smaller, fitted))
+    return float(before @ before - after @ after)
 
 
 def _counted(rows: Linearisation, term: Term) -> FloatArray:
-    """Whitened residuals of the strata that contain information on a term: what a load takes of the velocity's own error, beside a recorded
-    specific force, is no sign of it."""
+    """Whitened residuals of the strata that contain information on a term."""
     aside = [k for k, name in enumerate(rows.strata) if name in redundant(term, rows.strata)]
     return np.asarray(rows.residual[~np.isin(rows.stratum, aside)])
 
 
-def undriven(term: Term, fitted: Fitted, without: Fitted, estimator: Estimator, groups: IntArray) -> str:
-    """Why a term whose states settle may be no part of the vehicle, empty where what moves the vehicle shows it, too.
+def undriven(term: Term, fitted: Fitted, known: Covariance, estimator: Estimator) -> str:
+    """Why a term whose states settle may be no part of the vehicle, empty where what moves the vehicle moves them, too.
 
     States that are free at the start of every response follow whatever wanders slowly in it, the error of an estimator for one. The same
-    equations from rest have only what the flight excites: a term is the vehicle's where these alone are better than none at `PROBABILITY`.
+    states as they swing where the vehicle hovers are as free, and what is flown does not move them: a term is the vehicle's where these are
+    worse, by the likelihood ratio of `may_be_absent` at `PROBABILITY`.
     """
     if not any(s.settles for s in term.states):
         return ""
-    rest = replace(term, states=tuple(replace(s, free=s.free and not s.settles) for s in term.states))
-    model = fitted.model.without_terms(term.id).with_terms(rest)
+    model = fitted.model.without_terms(term.id).with_terms(replace(term, build=_in_hover(term)))
     at = estimator.fit(model, estimator.moved(model, fitted.at).without_correlation, fitted.names)
-    from_rest = Fitted(model, fitted.names, at, estimator.linearise(model, at, fitted.names), fitted.inactive)
-    if not from_rest.finite:
+    swinging = Fitted(model, fitted.names, at, estimator.linearise(model, at, fitted.names), fitted.inactive)
+    if not swinging.finite:
         return ""
-    known = floor_of(from_rest.rows, estimator.segments, RESOLUTION)
-    nats = sum(log_evidence(from_rest, without, estimator, groups, known).values())
-    if nats >= log_odds_asked(1):
+    own = [p.name for p in term.params if p.name in known.names]
+    found, asked = _p_value(known, own, gain_over(swinging, term, fitted, estimator)), 1.0 - PROBABILITY
+    if found < asked:
         return ""
-    return f"from rest it explains nothing ({nats:.1f} nats): what it follows was there before each response, and nothing flown moves it"
+    return f"as it swings where nothing is flown it explains as much (p {found:.2g}, asked {asked:.2g}): the flight does not move it"
 
 
-def may_be_absent(term: Term, fitted: Fitted, gain: float, estimator: Estimator, candidates: int) -> str:
+def _in_hover(term: Term) -> Callable[[Signals, Values, Values], Contribution]:
+    """What a term adds where its states are pulled by the thrust of hover alone."""
+    return lambda s, p, x: term.build(replace(s, force=s.rotation[2, :].T * s.g), p, x)
+
+
+def may_be_absent(
+    term: Term, fitted: Fitted, gain: float, known: Covariance, estimator: Estimator, candidates: int
+) -> str:
     """Why a term may be absent, empty where that is excluded at the level of a search (`level_of`): likelihood ratio, adjusted to the
-    covariance that is printed beside the name (Rotnitzky & Jewell 1990). gain: twice the difference of the log likelihoods in one noise,
-    fitted data.
+    covariance that is printed beside the name, known (Rotnitzky & Jewell 1990). gain: twice the difference of the log likelihoods in one
+    noise, fitted data.
 
         F = gain / tr(C_model^-1 C),     p, dof degrees of freedom;
 
@@ -83,7 +85,6 @@ def may_be_absent(term: Term, fitted: Fitted, gain: float, estimator: Estimator,
     On the frozen bench p is below 4e-6 for 160 of 161 hidden terms, and above 4e-4 for the one that was named and not hidden:
     cross-validation alone counts in a noise whose variance is 1 to 3000 times too small for what the equations err.
     """
-    known = estimator.covariance(fitted.model, fitted.at, fitted.names)
     own = [p for p in term.params if p.name in known.names]
     if not own:
         return "nothing here determines any of its parameters"

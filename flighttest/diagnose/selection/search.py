@@ -304,7 +304,7 @@ class Search:
         tried = self.terms[term]
         evidence = evidence_of(tried, fitted, without, self.estimator, self.groups, self.floor, len(self.pool))
         if not evidence.why_not:
-            asked = (tried, fitted, without, self.estimator, self.groups, len(self.pool))
-            evidence = replace(evidence, nothing=may_be_nothing(*asked))
+            nothing = may_be_nothing(tried, fitted, without, self.estimator, len(self.pool))
+            evidence = replace(evidence, nothing=nothing)
         self._found[key] = fitted, evidence
         return evidence
