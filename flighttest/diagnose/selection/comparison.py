@@ -250,7 +250,9 @@ def evidence_of(
         inadmissible=inadmissible(term, fitted, segments, candidates, repeated=floor.repeated(*place)),
         without=without,
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0),
-        worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
+        worsened=tuple(
+            name for name, (_, high) in intervals.items() if high < 0.0 and by_stratum[name] < -log_odds_asked(1)
+        ),
     )
 
 
