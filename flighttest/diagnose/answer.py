@@ -32,6 +32,7 @@ from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 SEED = 0  # of sign flips and resampling: the same recordings give the same diagnosis
+TOGETHER = ""  # all channels of a part, in `PartAnswer.shares`
 
 V = TypeVar("V")
 
@@ -60,9 +61,9 @@ class PartAnswer:
     interrupt came before.
 
     accepted: named terms and what they gain, nats; terms: everything that joined the model; tried: ids of the terms that these recordings
-    determine something of; floors, cells, curves, overlaid, errors, left: as in `Diagnosis`; shares: what stays of each channel's error,
-    or of that of all; error: which error that is, in words; staying: channels (short) whose mismatch stays; held: what prediction errors or
-    kinematics showed of the final model; winds: of flights.
+    determine something of; floors, cells, curves, overlaid, errors, left: as in `Diagnosis`; shares: channel (short) to what stays of its
+    error, or `TOGETHER` to what stays of that of all; error: which error that is, in words; staying: channels whose mismatch stays; held:
+    what prediction errors or kinematics showed of the final model; winds: of flights.
     """
 
     complete: bool = True
@@ -83,16 +84,18 @@ class PartAnswer:
     overlaid: list[Overlay] = field(default_factory=list)
     candidates: list[CandidateRow] = field(default_factory=list)
     baselines: dict[str, dict[str, float]] = field(default_factory=dict)
-    shares: list[float] = field(default_factory=list)
+    shares: dict[str, float] = field(default_factory=dict)
     error: str = ABOVE_FLOOR
     staying: set[str] = field(default_factory=set)
     held: HeldEstimate | None = None
     winds: tuple[FlightWind, ...] = ()
 
     @property
-    def share(self) -> float:
-        """What stays of its error: the mean over channels, which count alike, whatever their floors."""
-        return float(np.mean(self.shares)) if self.shares else float(bool(self.staying))
+    def unexplained(self) -> dict[str, float]:
+        """Channel whose mismatch stays to what stays of its error, where that is more than of a mismatch that counts as explained."""
+        unknown = 0.0 if self.shares else 1.0  # of a channel that nothing was located in before
+        left = {c: self.shares.get(c, self.shares.get(TOGETHER, unknown)) for c in sorted(self.staying)}
+        return {c: share for c, share in left.items() if share > EXPLAINED_SHARE}
 
     def findings(self, asked: Asked, table: Mapping[str, ParameterRow]) -> list[Finding]:
         """Of every named term. table: parameters of the final model."""
@@ -106,15 +109,16 @@ def listed(answers: Sequence[PartAnswer], what: str) -> list[Any]:
 
 
 def error_left(answers: Sequence[PartAnswer]) -> tuple[float, str]:
-    """Share of the error that stays, and which error, in words: of the part with the largest share among those with a mismatch that stays;
-    where that counts as explained, of all. Parts share no parameter: an attitude that is explained makes up for no vertical motion that
-    is not."""
-    worst = max((a for a in answers if a.staying), key=lambda a: a.share, default=None)
-    if worst is not None and worst.share > EXPLAINED_SHARE:
-        return worst.share, f"{worst.error} in {', '.join(channel_words(c) for c in sorted(worst.staying))}"
+    """Share of the error that stays, and which error, in words: mean over the channels of a part that are not explained, of the part where
+    it is largest; where every channel is, of all. Channels are of different physics: an attitude or a velocity that is explained makes up
+    for no force that is not."""
+    shares = [(float(np.mean([*a.unexplained.values()])), a) for a in answers if a.unexplained]
+    if shares:
+        share, worst = max(shares, key=lambda one: one[0])
+        return share, f"{worst.error} in {', '.join(map(channel_words, worst.unexplained))}"
     kinds = {a.error for a in answers if a.shares}
     error = "error" if len(kinds) > 1 else next(iter(kinds), ABOVE_FLOOR)
-    return float(np.mean(listed(answers, "shares") or [0.0])), error
+    return float(np.mean([share for a in answers for share in a.shares.values()] or [0.0])), error
 
 
 def merged(tables: Iterable[Mapping[str, V]]) -> dict[str, V]:

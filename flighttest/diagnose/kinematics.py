@@ -156,7 +156,7 @@ def by_kinematics(segments: Sequence[Segment], pool: Sequence[Term]) -> PartAnsw
     made.terms = tuple(made.accepted)
     made.heldout = {e.channel: {"all": e.row()} for e in found}
     made.located = [_place(segments, e) for e in found]
-    made.shares = [(row["all"]["rmse_after"] / row["all"]["rmse_before"]) ** 2 for row in made.heldout.values()]
+    made.shares = {c: (row["all"]["rmse_after"] / row["all"]["rmse_before"]) ** 2 for c, row in made.heldout.items()}
     made.error = WITH_GUSTS
     made.candidates = [e.candidate() for e in found]
     made.held = _joined([e.held for e in found])

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.diagnose.answer import PartAnswer, error_left
+from flighttest.diagnose.answer import TOGETHER, PartAnswer, error_left
 from flighttest.diagnose.conclusion import predicted_worse, verdict_of
 from flighttest.diagnose.findings import parameter_table
 from flighttest.diagnose.model import EXPLAINED_SHARE, Verdict
@@ -102,15 +102,23 @@ def test_what_is_predicted_worse_with_what_is_named_is_said_in_the_headline(afte
 )
 def test_shares_of_errors_of_several_kinds_are_called_shares_of_the_error(errors, said):
     nothing = PartAnswer(error="of a part without a share")
-    assert error_left([nothing, *(PartAnswer(shares=[0.1], error=one) for one in errors)]) == (pytest.approx(0.1), said)
+    assert error_left([nothing, *(PartAnswer(shares={"v_z": 0.1}, error=one) for one in errors)]) == (
+        pytest.approx(0.1),
+        said,
+    )
 
 
-@pytest.mark.parametrize(("stays", "left"), [(0.25, 0.25), (0.15, 0.05)])
-def test_what_is_explained_in_one_part_makes_up_for_nothing_in_another(stays, left):
-    """Beside a firmware's reference shaping, an updraft that left 1.1 m/s of vertical velocity over a floor of 0.04 was EXPLAINED."""
-    loops, force = PartAnswer(shares=[0.0] * 4), PartAnswer(shares=[stays, stays], staying={"v_z"})
-    share, error = error_left([loops, force])
+@pytest.mark.parametrize(
+    ("stays", "together", "left"), [(0.25, False, 0.25), (0.15, False, 0.025), (0.25, True, 0.25), (0.15, True, 0.03)]
+)
+def test_what_is_explained_in_one_channel_makes_up_for_nothing_in_another(stays, together, left):
+    """Beside a firmware's reference shaping, an updraft that left 1.1 m/s of vertical velocity over a floor of 0.04 was EXPLAINED, and a
+    thrust that rings, which left 0.35 m/s^2 over a floor of 0.09, since the velocity is as the reference shaping has it."""
+    loops = PartAnswer(shares=dict.fromkeys(("roll", "pitch", "r", "f_x"), 0.0), staying={"roll"})
+    force = PartAnswer(shares={"f_z": stays, "v_z": 0.0}, staying={"f_z", "v_z"})
+    steered = PartAnswer(shares={TOGETHER: stays}, staying={"f_z"})
+    share, error = error_left([loops, steered if together else force])
     assert share == pytest.approx(left)
-    assert error.removeprefix(ABOVE_FLOOR) == ("" if stays <= EXPLAINED_SHARE else " in velocity up")
+    assert error.removeprefix(ABOVE_FLOOR) == ("" if stays <= EXPLAINED_SHARE else " in specific force up")
     verdict = verdict_of(any_named=True, share=share, located=True, still=True)
     assert verdict is (Verdict.PARTLY if stays > EXPLAINED_SHARE else Verdict.EXPLAINED)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from flighttest.diagnose.answer import SEED, Asked, PartAnswer
+from flighttest.diagnose.answer import SEED, TOGETHER, Asked, PartAnswer
 from flighttest.diagnose.free_flight.equation_search import PART_IN_WORDS, EquationSearch, find_terms
 from flighttest.diagnose.free_flight.prediction import held_out_table
 from flighttest.diagnose.free_flight.reported import candidates_of, findings_of, notes_of_search, smallest_of, table_of
@@ -97,7 +97,7 @@ def _compare(made: PredictionErrorAnswer, segments: tuple[Segment, ...], air: tu
     floor = free_flight_floor(after, air)
     made.located = locate(before, segments, floor, SEED)
     made.staying = {p.channel for p in locate(after, air, floor, SEED) if p.regime}
-    made.shares = [_share_left(before, after, floor)]
+    made.shares = {TOGETHER: _share_left(before, after, floor)}
     made.floors = {short(c): FloorRow({"value": v, "from": FROM_EQUATIONS}) for c, v in floor.std.items()}
     made.cells = residual_map(before, after, segments, floor)
     made.curves = regime_curves(made.located, before, after, segments)

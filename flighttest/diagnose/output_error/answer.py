@@ -103,7 +103,7 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
     places = left if unchanged else locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), SEED)
     made.located += places
     above = {place.channel for place in places}
-    made.shares += [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
+    made.shares |= {short(n): min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0}
     made.staying |= {place.channel for place in left}
     made.curves += regime_curves(places, base.rows, now.rows, segments)
     made.cells += residual_map(base.rows, now.rows, segments, floor)
