@@ -67,7 +67,8 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
     units = {p.name: p.unit for t in catalogue().values() for p in t.params}
     staying = {c for a in answers for c in a.staying}
     share, error = error_left(answers)
-    so_far = verdict_of(bool(findings), share, bool(located), bool(staying))
+    unexplained = any(a.unexplained for a in answers)
+    so_far = verdict_of(named=bool(findings), located=bool(located), unexplained=unexplained)
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
     nameless = searches and so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)
     formulas = _described(asked, searches, staying) if nameless else []

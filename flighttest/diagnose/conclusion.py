@@ -25,11 +25,11 @@ UNMOVED = "these flights do not move what it acts on"
 UNTRIED = "not looked for to the end: the search was interrupted"
 
 
-def verdict_of(any_named: bool, share: float, located: bool, still: bool) -> Verdict:
-    """The answer as a whole. share: of the error that stays; still: whether a mismatch is located with what is named, too."""
-    if not any_named:
+def verdict_of(*, named: bool, located: bool, unexplained: bool) -> Verdict:
+    """The answer as a whole: whether anything is named, is located without what is named, stays unexplained in a channel with it."""
+    if not named:
         return Verdict.UNKNOWN_PHYSICS if located else Verdict.NOTHING_MISSING
-    return Verdict.EXPLAINED if not still or share <= EXPLAINED_SHARE else Verdict.PARTLY
+    return Verdict.PARTLY if unexplained else Verdict.EXPLAINED
 
 
 def sentence_of(
