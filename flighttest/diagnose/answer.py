@@ -93,7 +93,7 @@ class PartAnswer:
     @property
     def unexplained(self) -> dict[str, float]:
         """Channel whose mismatch stays to what stays of its error, where that is more than of a mismatch that counts as explained."""
-        unknown = 0.0 if self.shares else 1.0  # of a channel that nothing was located in before
+        unknown = 0.0 if self.shares else 1.0  # where none of the error is above the floor, all of it stays
         left = {c: self.shares.get(c, self.shares.get(TOGETHER, unknown)) for c in sorted(self.staying)}
         return {c: share for c, share in left.items() if share > EXPLAINED_SHARE}
 

@@ -102,8 +102,7 @@ def _per_cent(ratio: float) -> float:
 
 
 def _larger(ratio: float) -> str:
-    more = _per_cent(ratio)
-    return f"{ratio:.2g} times the error" if ratio >= 2.0 else f"{more:.{0 if more >= 1.0 else 1}f} % more error"
+    return f"{ratio:.2g} times the error" if ratio >= 2.0 else f"{_per_cent(ratio):g} % more error"
 
 
 def different_delays(table: Mapping[str, ParameterRow]) -> list[str]:

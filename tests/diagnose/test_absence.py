@@ -87,10 +87,28 @@ def test_a_term_of_which_nothing_is_determined_may_be_absent():
     assert may_be_absent(term, at_bounds, 1e6, nothing, SimpleNamespace(), 22)
 
 
+@pytest.mark.parametrize(
+    ("shows", "gain", "said"), [(0, 7.0, False), (0, 6.2, True), (1, 700.0, True), (0, -4.0, True)]
+)
+def test_a_swing_that_nothing_moves_is_excluded_at_one_per_cent_by_what_contains_information(shows, gain, said):
+    """Of one parameter, whose printed variance is that of the noise: chi-squared of one degree of freedom is 6.63 at 1 %."""
+    channel, name, term = np.tile([0, 1], 500), "payload_ratio", catalogue()["slung_payload"]
+    at = Optimum({name: 0.1}, {}, NOISE, 0.0)
+    driven, swinging = (
+        rows_of(
+            np.where(channel == shows, np.sqrt(max(left, 0.0) / 500.0), 0.0), np.ones((1000, 1)), 20, channel=channel
+        )
+        for left in (-gain, gain)
+    )
+    estimator = SimpleNamespace(moved=lambda _m, at: at, fit=lambda _m, at, _n: at, linearise=lambda *_: swinging)
+    known = Covariance((name,), np.ones((1, 1)), np.ones((1, 1)), np.full(1, 1e6))
+    assert bool(undriven(term, Fitted(Model((term.id,)), (name,), at, driven), known, estimator)) is said
+
+
 @pytest.mark.parametrize("hung", [True, False])
 def test_a_load_that_only_swings_before_each_response_is_no_load(hung):
     """In throttle steps under the real firmware, velocity wandered by 5 mm/s: four initial states per response followed it, and a load of
-    0.10 was named with a probability above 0.999. From rest it explained nothing (-0.4 nats)."""
+    0.10 was named with a probability above 0.999."""
     rng = np.random.default_rng(7)
     if hung:
         segments = fly(campaign(2, yaws=False), payload=(0.3, 1.0))

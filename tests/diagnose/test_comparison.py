@@ -133,19 +133,21 @@ def test_what_only_the_velocity_shows_beside_a_recorded_specific_force_is_an_ins
     assert (e.probability > 0.99) is named
 
 
-@pytest.mark.parametrize(("lost", "counts"), [(0.9, False), (4.0, False), (8.0, True), (300.0, True)])
-def test_a_channel_is_worse_where_its_own_loss_can_be_seen_and_would_decide_by_itself(rng, lost, counts):
+@pytest.mark.parametrize(
+    ("lost", "along", "counts"),
+    [(0.9, 0.0, False), (4.0, 0.0, False), (8.0, 0.0, True), (300.0, 0.0, True), (0.0, 0.03, False), (0.0, 0.1, True)],
+)
+def test_a_channel_is_worse_where_its_own_loss_can_be_seen_and_would_decide_by_itself(rng, lost, along, counts):
     """A lag of the rotors' speed with 6438 nats was refused, and an asymmetry of 1886 nats named in its place: four channels were worse by
-    less than half a nat each. Arms of 609 nats were refused for five channels worse by 2.4 to 9.6 nats, three of them below log 99."""
+    less than half a nat each. Arms of 609 nats were refused for five channels worse by 0.8 to 9.6 nats, three of them below log 99."""
     noise, half = rng.normal(size=SEGMENTS * EACH), SEGMENTS // 2 * EACH
     shown = np.append(rng.normal(size=half), np.zeros(half))
-    apart = rng.normal(
-        size=(SEGMENTS, EACH)
-    )  # of every response, orthogonal to its noise: what it costs is half of its square
+    # Of every response, orthogonal to its noise: what it costs is half of its square.
+    apart = rng.normal(size=(SEGMENTS, EACH))
     own = noise.reshape(SEGMENTS, EACH)
     apart -= np.sum(apart * own, axis=1, keepdims=True) / np.sum(own**2, axis=1, keepdims=True) * own
     apart *= np.sqrt(2.0 * lost / (SEGMENTS // 2)) / np.linalg.norm(apart, axis=1, keepdims=True)
-    column = np.where(np.arange(2 * half) < half, shown, apart.ravel())[:, None]
+    column = np.where(np.arange(2 * half) < half, shown, apart.ravel() - along * noise)[:, None]
     channel = np.repeat([0, 1], half)
     larger = fitted(noise + shown, column, ("velocity_latency",), Model(("velocity_latency",)))
     smaller = fitted(noise + shown, column[:, :0], (), Model(()))

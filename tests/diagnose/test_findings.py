@@ -113,7 +113,7 @@ def test_shares_of_errors_of_several_kinds_are_called_shares_of_the_error(errors
 )
 def test_what_is_explained_in_one_channel_makes_up_for_nothing_in_another(stays, together, left):
     """Beside a firmware's reference shaping, an updraft that left 1.1 m/s of vertical velocity over a floor of 0.04 was EXPLAINED, and a
-    thrust that rings, which left 0.35 m/s^2 over a floor of 0.09, since the velocity is as the reference shaping has it."""
+    thrust that rings, which left 0.35 m/s^2 over a floor of 0.09, since angle boost explains the velocity."""
     loops = PartAnswer(shares=dict.fromkeys(("roll", "pitch", "r", "f_x"), 0.0), staying={"roll"})
     force = PartAnswer(shares={"f_z": stays, "v_z": 0.0}, staying={"f_z", "v_z"})
     steered = PartAnswer(shares={TOGETHER: stays}, staying={"f_z"})

@@ -10,7 +10,7 @@ import numpy as np
 
 from flighttest.diagnose.selection.admissible import unit_suffix
 from flighttest.diagnose.selection.candidates import null_value, redundant
-from flighttest.diagnose.selection.comparison import PROBABILITY, Fitted, level_of, rows_in_noise_of
+from flighttest.diagnose.selection.comparison import Fitted, level_of, rows_in_noise_of
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import FloatArray, Linearisation
 from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
@@ -44,7 +44,7 @@ def undriven(term: Term, fitted: Fitted, known: Covariance, estimator: Estimator
 
     States that are free at the start of every response follow whatever wanders slowly in it, the error of an estimator for one. The same
     states as they swing where the vehicle hovers are as free, and what is flown does not move them: a term is the vehicle's where these are
-    worse, by the likelihood ratio of `may_be_absent` at `PROBABILITY`.
+    worse, by the likelihood ratio of `may_be_absent`, at the level of one question.
     """
     if not any(s.settles for s in term.states):
         return ""
@@ -54,10 +54,10 @@ def undriven(term: Term, fitted: Fitted, known: Covariance, estimator: Estimator
     if not swinging.finite:
         return ""
     own = [p.name for p in term.params if p.name in known.names]
-    found, asked = _p_value(known, own, gain_over(swinging, term, fitted, estimator)), 1.0 - PROBABILITY
-    if found < asked:
+    found, level = _p_value(known, own, gain_over(swinging, term, fitted, estimator)), level_of(1)
+    if found < level:
         return ""
-    return f"as it swings where nothing is flown it explains as much (p {found:.2g}, asked {asked:.2g}): the flight does not move it"
+    return f"as it swings where nothing is flown it explains as much (p {found:.2g}, asked {level:.2g}): the flight does not move it"
 
 
 def _in_hover(term: Term) -> Callable[[Signals, Values, Values], Contribution]:
@@ -69,8 +69,8 @@ def may_be_absent(
     term: Term, fitted: Fitted, gain: float, known: Covariance, estimator: Estimator, candidates: int
 ) -> str:
     """Why a term may be absent, empty where that is excluded at the level of a search (`level_of`): likelihood ratio, adjusted to the
-    covariance that is printed beside the name, known (Rotnitzky & Jewell 1990). gain: twice the difference of the log likelihoods in one
-    noise, fitted data.
+    covariance that is printed beside the name (Rotnitzky & Jewell 1990). gain: twice the difference of the log likelihoods in one noise,
+    fitted data; known: that covariance.
 
         F = gain / tr(C_model^-1 C),     p, dof degrees of freedom;
 

@@ -75,8 +75,9 @@ class Evidence:
     effect in noise floors at `place` (channel, kind of maneuver), where it is largest; effect, profiled (measured rows,): what it changes
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
     estimates cannot be what its name means, empty where they can; without: the model fitted without it; improved, worsened: strata
-    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`);
-    nothing: the estimates, where a term's absence is not excluded; withdrawn: which other term it leaves for, and why."""
+    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`),
+    worse by what would decide alone; nothing: the estimates, where a term's absence is not excluded; withdrawn: which other term it leaves
+    for, and why."""
 
     term: str
     nats: float
