@@ -417,29 +417,3 @@ def test_a_candidate_whose_simulation_is_not_finite_is_dropped():
     assert {c.term.id for c in found} == {"accelerometer_bias", "rate_limit"}
     assert all(c.shape["rate_max"] <= 6.0 for c in found if c.term.id == "rate_limit")
     assert len([c for c in found if c.term.id == "rate_limit"]) >= 1
-
-
-def test_an_upward_wind_at_its_bound_is_held_and_the_rest_of_the_term_estimated():
-    asked = []
-
-    class Estimator:
-        def problem(self, model):
-            return SimpleNamespace(names=("K", "w_north", "w_up"))
-
-        def fit(self, model, start, names, *, compared_with=None, reported=False):
-            asked.append(names)
-            return SimpleNamespace(values={**start.values, "w_up": -3.0 if "w_up" in names else start.values["w_up"]})
-
-        def moved(self, model, at, values):
-            return SimpleNamespace(values={**at.values, **values}, objective=0.0)
-
-        def linearise(self, model, at, names):
-            return None
-
-    model = Model(("linear_drag", "steady_wind"))
-    models = FittedModels(Estimator(), ())
-    start = SimpleNamespace(values={"K": 50.0, "w_north": 2.0, "w_up": 0.0}, objective=0.0)
-    fitted = models.fit(model, start, frozenset())
-    assert asked == [("K", "w_north", "w_up"), ("K", "w_north")]
-    assert fitted.names == ("K", "w_north")
-    assert fitted.at.values["w_up"] == 0.0

@@ -44,6 +44,8 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
     )
     confusable = [r for r in rivals if r.verdict == TermVerdict.CONFUSABLE]
     numbers = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
+    if held := search.held(term_id):
+        numbers += f"; {', '.join(held)} held at 0, since its estimate was another effect"
     sentence = (
         f"{term.plain} ({numbers}); {brief(evidence.floors)} noise floors in {short(evidence.place[0])} of {flown(evidence.place[1])}; "
         f"probability {_percent(evidence.probability)}{undetermined_sizes(term, parameters)}"

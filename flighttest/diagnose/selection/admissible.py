@@ -55,9 +55,8 @@ def outside_prior(term: Term, found: EstimatedModel, least: float, *, repeated: 
             return f"{p.name} is at its bound, {value:.3g}{unit_suffix(p)}"
         if p.natural_bound == "lower" and not repeated and value - p.lower <= (error := found.half_interval(p)):
             return f"{p.name} is {value:.3g} +- {error:.2g}{unit_suffix(p)}, which may be its bound, {p.lower:.3g}{unit_suffix(p)}"
-        wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0
         # One of several may be there by chance.
-        if wrong and (len(coefficients) == 1 or abs(value - null_value(p)) > _by_chance(p, found)):
+        if _wrong(p, value) and (len(coefficients) == 1 or surely_not_allowed(p, found)):
             return f"{p.name} is {value:.3g}{unit_suffix(p)}, which physics does not allow"
         if p.limits and (most := max((_most(p.limits, found.values, s) for s in found.segments), default=0.0)) < value:
             return f"{p.name} is {value:.3g}{unit_suffix(p)}, and no more than {most:.3g} was flown"
@@ -76,9 +75,14 @@ def _known(p: Param, found: EstimatedModel) -> bool:
     return abs(found.values[p.name] - p.nominal) > found.half_interval(p)
 
 
-def _by_chance(p: Param, found: EstimatedModel) -> float:
-    """How far on the wrong side a coefficient may be estimated that is next to nothing."""
-    return max(0.1 * abs(usual_size(p)), found.half_interval(p))
+def surely_not_allowed(p: Param, found: EstimatedModel) -> bool:
+    """Whether the 95 % interval of a coefficient is on the side of its null value that physics does not allow."""
+    value = found.values[p.name]
+    return _wrong(p, value) and abs(value - null_value(p)) > found.half_interval(p)
+
+
+def _wrong(p: Param, value: float) -> bool:
+    return p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0.0
 
 
 def _most(what: str, values: Mapping[str, float], segment: Segment) -> float:

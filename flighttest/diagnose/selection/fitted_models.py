@@ -8,8 +8,9 @@ from functools import partial
 
 import numpy as np
 
+from flighttest.diagnose.selection.admissible import EstimatedModel, surely_not_allowed
 from flighttest.diagnose.selection.candidates import Candidate, null_value
-from flighttest.diagnose.selection.comparison import Fitted
+from flighttest.diagnose.selection.comparison import Fitted, standard_errors
 from flighttest.diagnose.selection.subsets import Scored
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Optimum
@@ -91,13 +92,22 @@ class FittedModels:
         return self.estimator.moved(model, self.base.at, null).without_correlation
 
     def _not_estimates(self, model: Model, at: Optimum, names: tuple[str, ...]) -> dict[str, float]:
-        """Coefficients that are their term's effect only beside its others (an upward wind) and ran to a bound: name to null value."""
-        return {
-            p.name: null_value(p)
-            for p in model.params
-            if p.name in names and p.kind == "amplitude" and not p.alone
-            if not p.lower < at.values[p.name] < p.upper
-        }
+        """Coefficients that are not their term's effect where they are: what is this effect only beside its others (an upward wind) at a
+        bound, and what physics does not allow (a drag that pushes) beside a coefficient that it does. Name to null value."""
+        amplitudes = [p for p in model.params if p.name in names and p.kind == "amplitude"]
+        found = [p for p in amplitudes if not p.alone and not p.lower < at.values[p.name] < p.upper]
+        segments = self.estimator.segments
+        estimates = EstimatedModel(
+            names, at.values, lambda: standard_errors(self._linearised(model, at, names), segments), segments
+        )
+        for term in self.pool:
+            own = [p for p in amplitudes if model.term_of(p.name) == term.id]
+            wrong = [p for p in own if surely_not_allowed(p, estimates)]
+            found += wrong if len(wrong) < len(own) else []
+        return {p.name: null_value(p) for p in found}
+
+    def _linearised(self, model: Model, at: Optimum, names: tuple[str, ...]) -> Fitted:
+        return Fitted(model, names, at, self.estimator.linearise(model, at, names))
 
     def _free(self, model: Model, inactive: frozenset[str]) -> tuple[str, ...]:
         """What is estimated of a model."""

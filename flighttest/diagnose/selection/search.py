@@ -91,9 +91,10 @@ class Search:
         return self.models.members(self.now) if self.now is not None else frozenset()
 
     def held(self, term: str) -> tuple[str, ...]:
-        """Coefficients of a named term that are not estimated, since they ran to a bound."""
+        """Coefficients of a named term that are held at their null values, since they were not its effect."""
         assert self.now is not None
-        return tuple(p.name for p in self.terms[term].amplitudes if not p.alone and p.name not in self.now.names)
+        known = {*self.now.names, *self.models.insensitive}
+        return tuple(p.name for p in self.terms[term].amplitudes if p.name not in known)
 
     def run(self, model: Model, start: Optimum) -> None:
         """Fit the base, then search. What is known when it is interrupted is kept."""
