@@ -193,7 +193,7 @@ GLOSSARY = (
 SEARCHED = (
     ("autocorrelation", "identify/diagnostics/residuals.py"),
     ("Bode", "identify/response_analysis/frequency_response.py"),
-    ("bootstrap", "identify/diagnostics/bootstrap.py"),
+    ("bootstrap", "diagnose/selection/held_out.py"),
     ("Box-Jenkins", "identify/free_flight/loops.py"),
     ("closed-loop bias", "estimation/uncertainty/closed_loop.py"),
     ("coherence", "identify/response_analysis/frequency_response.py"),

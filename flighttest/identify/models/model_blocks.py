@@ -182,7 +182,6 @@ class QualityBlock(FitChecks, total=False):
     responses: int
     channels: dict[str, ChannelBlock]
     outliers: list[str]
-    bootstrap_std: dict[str, float | None]
     ties: list[str]
     voltage_spread_at_equal_throttle_v: float | None
     discrepancy: dict[str, float]

@@ -18,7 +18,6 @@ from flighttest.datafiles import read_text, write_whole
 from flighttest.documents import Form, Node, PlainData, YamlDocument, kind_of, read_form, require
 from flighttest.errors import ModelError
 from flighttest.frames import G_M_S2
-from flighttest.identify.diagnostics.bootstrap import bootstrap_std
 from flighttest.identify.fit import Fit
 from flighttest.identify.models.model_blocks import (
     CovarianceBlock,
@@ -135,9 +134,6 @@ def as_data(
             for c, q in found.quality.items()
         },
         "outliers": [o.sentence for o in found.outliers],
-        "bootstrap_std": {
-            n: _number(v) for n, v in bootstrap_std(found.solution.normal, found.covariance.names).items()
-        },
         "ties": [t.sentence for t in found.ties],
         "voltage_spread_at_equal_throttle_v": _number(found.voltage_spread_v),
         **found.checks,
