@@ -18,6 +18,7 @@ from flighttest.recording import Recording, Series
 _IMPOSSIBLE = {
     "rad": 1e4, "rad/s": 300.0, "m/s^2": 3e3, "m/s": 1e3, "m": 1e7, "V": 2e3, "A": 1e4, "1": 1e6,
 }  # fmt: skip
+_LFS_POINTER = b"version https://git-lfs"
 _TABLES = {".csv", ".parquet", ".txt", ".tsv", ".mat", ".mcap"}
 
 
@@ -65,6 +66,8 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
     head = file.head()
     if not head:
         raise RecordingError(f"{path} is empty", "was the log downloaded completely?")
+    if head.startswith(_LFS_POINTER):
+        raise RecordingError(f"{path}: a pointer of Git LFS, not the log itself", "fetch the log: git lfs pull")
     suffix = file.suffix
     claimed = path.suffix.lower()
     if claimed in {".gz", ".xz"} and not file.compressed:

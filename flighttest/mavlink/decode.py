@@ -93,6 +93,7 @@ _FIELDS: dict[str, tuple[str, ...]] = {rule.message: _fields_of(rule.message) fo
 _FIELDS["SET_ATTITUDE_TARGET"] = ("time_boot_ms", "target_system", *REFERENCE_FIELDS)
 _FIELDS["HEARTBEAT"] = ("type", "autopilot", "base_mode", "custom_mode")
 _FIELDS["ATTITUDE_TARGET"] = (*_FIELDS["ATTITUDE_TARGET"], "thrust")
+_FIELDS["VFR_HUD"] = (*_FIELDS["VFR_HUD"], "throttle")
 
 WANTED: frozenset[str] = frozenset(_FIELDS) | {
     "STATUSTEXT", "TIMESYNC", "PARAM_VALUE", "AUTOPILOT_VERSION", "GPS_GLOBAL_ORIGIN", "HOME_POSITION",
@@ -227,6 +228,11 @@ def _assemble(collected: StreamDecoder, source: SenderId) -> Decoded:
     elif own is not None:
         series["reference"] = _ordered(own[0], {"throttle": own[1]}, "ATTITUDE_TARGET", losses)
         derived["throttle"] = "the vehicle's ATTITUDE_TARGET.thrust: no SET_ATTITUDE_TARGET was recorded"
+        reference_clock = "vehicle"
+    elif "VFR_HUD" in raw:
+        throttle = raw["VFR_HUD"]["throttle"] * 1e-2
+        series["reference"] = _ordered(times["VFR_HUD"], {"throttle": throttle}, "VFR_HUD", losses)
+        derived["throttle"] = "VFR_HUD.throttle, after tilt boost, in whole percents: no ATTITUDE_TARGET was recorded"
         reference_clock = "vehicle"
     markers = markers_from_texts([t for t in collected.texts if span[0] <= t.ground_s <= span[1]], system, clock)
     if beats:

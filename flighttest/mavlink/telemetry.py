@@ -118,6 +118,12 @@ def _shaped(raw: Raw) -> ChannelColumns:
     return {"roll_shaped_rad": roll, "pitch_shaped_rad": pitch, "yaw_rate_shaped_rad_s": rates[..., 2]}
 
 
+def _navigation(raw: Raw) -> ChannelColumns:
+    """ArduCopter puts the attitude controller's target there, degrees."""
+    euler = frames.flip_euler(np.radians(np.stack([raw["nav_roll"], raw["nav_pitch"], 0.0 * raw["nav_roll"]], axis=-1)))
+    return _named(euler, "roll_shaped_rad", "pitch_shaped_rad")
+
+
 def _battery(raw: Raw) -> ChannelColumns:
     """A pack of more than ten cells goes on in voltages_ext, where what is not there is zero."""
     cells = np.concatenate([raw["voltages"], raw["voltages_ext"]], axis=-1).astype(float)
@@ -249,6 +255,14 @@ RULES: tuple[Rule, ...] = (
         keep=_first_outputs,
     ),
     Rule("shaped", "ATTITUDE_TARGET", "time_boot_ms", ("q", "body_yaw_rate"), _shaped),
+    Rule(
+        "shaped",
+        "NAV_CONTROLLER_OUTPUT",
+        None,
+        ("nav_roll", "nav_pitch"),
+        _navigation,
+        note="the autopilot's target in NAV_CONTROLLER_OUTPUT",
+    ),
 )
 
 STAMP_SCALE: dict[str, float] = {"time_boot_ms": 1e-3, "time_usec": 1e-6}

@@ -131,6 +131,14 @@ def test_json_messages_are_columns(tmp_path):
     assert np.allclose(import_log(path, columns).channel("roll_rad")[1], ROLL)
 
 
+def test_a_pointer_of_git_lfs_says_how_to_fetch_the_log(tmp_path):
+    path = tmp_path / "00000001.BIN"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:d509\nsize 3188569\n")
+    with pytest.raises(RecordingError) as caught:
+        import_log(path)
+    assert "git lfs pull" in caught.value.hint
+
+
 def test_a_database_bag_says_how_to_convert_it(tmp_path):
     path = tmp_path / "bag.db3"
     path.write_bytes(b"SQLite format 3\0" + bytes(100))

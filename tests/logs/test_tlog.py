@@ -65,6 +65,38 @@ def test_both_directions_land_on_the_vehicles_clock(tmp_path, dialect):
     assert r.provenance.clock["error_s"] > 0
 
 
+@pytest.mark.parametrize("targets", [True, False])
+def test_what_every_ground_station_records_holds_references_where_there_are_no_better_ones(tmp_path, targets):
+    """ArduCopter's NAV_CONTROLLER_OUTPUT is its attitude target, in degrees; four of five telemetry logs at 4 Hz had no ATTITUDE_TARGET
+    and were refused."""
+    w = TlogWriter()
+    for k in range(80):
+        t, boot_ms = k / 4.0, round((20.0 + k / 4.0) * 1e3)
+        if k % 4 == 0:
+            w.add(t, v2.MAVLink_heartbeat_message(2, 3, 128 | 1, 5, 4, 3))
+        w.add(t, v2.MAVLink_attitude_message(boot_ms, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0))
+        w.add(t, v2.MAVLink_nav_controller_output_message(10.0, 5.0, 90, 0, 0, 0.0, 0.0, 0.0))
+        w.add(t, v2.MAVLink_vfr_hud_message(0.0, 0.0, 90, 37, 10.0, 0.0))
+        if targets:
+            q = [np.cos(0.1), np.sin(0.1), 0.0, 0.0]
+            w.add(t, v2.MAVLink_attitude_target_message(boot_ms, 0, q, 0.0, 0.0, -0.5, 0.31))
+    (tmp_path / "a.tlog").write_bytes(w.data)
+    r = import_log(tmp_path / "a.tlog")
+    found = {n: r.channel(n)[1][5] for n in ("roll_ref_rad", "pitch_ref_rad", "roll_shaped_rad", "throttle")}
+    if targets:
+        assert found == pytest.approx(
+            {"roll_ref_rad": 0.2, "pitch_ref_rad": 0.0, "roll_shaped_rad": 0.2, "throttle": 0.31}
+        )
+        assert r.channel("yaw_rate_ref_rad_s")[1][5] == pytest.approx(0.5)
+        return
+    roll, pitch = np.radians([10.0, 5.0])
+    expected = {"roll_ref_rad": roll, "pitch_ref_rad": -pitch, "roll_shaped_rad": roll, "throttle": 0.37}
+    assert found == pytest.approx(expected)
+    assert not r.has("yaw_rate_ref_rad_s")
+    assert "NAV_CONTROLLER_OUTPUT" in r.provenance.derived["roll_shaped_rad"]
+    assert "VFR_HUD" in r.provenance.derived["throttle"]
+
+
 def test_an_accelerometer_filter_that_was_not_recorded_is_assumed_and_said(tmp_path):
     (tmp_path / "a.tlog").write_bytes(link(parameter=False).data)
     r = import_log(tmp_path / "a.tlog")
