@@ -60,9 +60,10 @@ def windy(seconds=60.0, seed=3):
     return np.column_stack([t, table])
 
 
-@pytest.fixture
-def listed(tmp_path):
+@pytest.fixture(scope="module")
+def listed(tmp_path_factory):
     """A list of a windy set and of one without angles, and the folder of both."""
+    tmp_path = tmp_path_factory.mktemp("listed")
     (tmp_path / "map.yaml").write_text(COLUMNS + "".join(f"  {name}: {name}\n" for name in ("t_s", *NAMES)))
     (tmp_path / "few.yaml").write_text(COLUMNS + "".join(f"  {name}: {name}\n" for name in ("t_s", *NAMES[3:])))
     np.savetxt(tmp_path / "windy.csv", windy(), delimiter=",", header=",".join(("t_s", *NAMES)), comments="")
@@ -72,6 +73,14 @@ def listed(tmp_path):
         "  - {name: no angles, source: another, files: [windy.csv], columns: few.yaml}\n"
     )
     return tmp_path / "list.yaml", tmp_path
+
+
+@pytest.fixture(scope="module")
+def windy_blocks(listed):
+    """Of the windy set."""
+    return transplanted_noise.blocks_of(
+        NoiseSource("windy hover", ("windy.csv",), str(listed[1] / "map.yaml"), str(listed[1]))
+    )
 
 
 def quiet(seconds=40.0, tilt_rad=0.0):
@@ -126,10 +135,8 @@ def test_recordings_that_cannot_give_noise_are_refused_with_what_they_lack(liste
         run_trials(ProofRequest(1, 1, "sitl", recordings=listed[0], data=listed[1]))
 
 
-def test_a_flight_gets_the_gusts_of_the_recording_and_their_velocity(listed, monkeypatch):
-    blocks = transplanted_noise.blocks_of(
-        NoiseSource("windy hover", ("windy.csv",), str(listed[1] / "map.yaml"), str(listed[1]))
-    )
+def test_a_flight_gets_the_gusts_of_the_recording_and_their_velocity(windy_blocks, monkeypatch):
+    blocks = windy_blocks
     assert len(blocks) > 15
     every = np.concatenate(blocks)
     assert np.hypot(*np.std(every[:, :2], axis=0)) == pytest.approx(GUST_M_S2, rel=0.15), "no steady wind is in it"
@@ -210,21 +217,27 @@ def test_what_hits_the_ground_is_no_noise(listed):
     assert max(float(np.abs(b[:, 2]).max()) for b in blocks) < 2.0
 
 
-def test_a_trial_flies_quietly_and_is_diagnosed_with_the_noise_of_its_source(listed, monkeypatch):
+def test_a_trial_flies_quietly_and_is_diagnosed_with_the_noise_of_its_source(listed, windy_blocks, monkeypatch):
     (case,) = [
         c for c in transplanted_noise.with_real_noise(cases_of(5, 8), read_sets(listed[0]), listed[1]) if c.noise_from
     ][:1]
-    asked = []
+    asked, sources = [], []
+
+    def blocks_of(source):
+        sources.append(source)
+        return windy_blocks
 
     def flown(options, folder, generator, script, changed):
         asked.append(options)
         return (SimpleNamespace(kind="roll_step", usable=True, flown=changed(quiet())),)
 
     monkeypatch.setattr(trial, "fly_campaign", flown)
+    monkeypatch.setattr(trial, "blocks_of", blocks_of)
     (noisy,), (twin,) = trial.flown_segments(case), trial.flown_segments(case, quiet=True)
     assert [(o.noise, o.gust_rms_m_s) for o in asked] == [(0.0, 0.0)] * 2
     assert np.std(noisy.flown.channel("f_x_m_s2")[1]) > 0.5 * GUST_M_S2
     assert np.std(twin.flown.channel("f_x_m_s2")[1]) == 0.0
+    assert sources == [case.noise_from]
 
 
 def test_the_scoreboard_counts_real_noise_apart(tmp_path, listed, monkeypatch):
@@ -258,7 +271,7 @@ def test_public_recordings_give_blocks_of_their_own_noise(repository, shared_dat
         c.noise_from for c in cases if c.noise_from is not None and c.noise_from.name == "wind tunnel, 8.5 m/s"
     )
     windy, still = (
-        transplanted_noise.blocks_of(s)
+        transplanted_noise.blocks_of(replace(s, files=s.files[:1]))
         for s in (
             source,
             next(c.noise_from for c in cases if c.noise_from and c.noise_from.name == "wind tunnel, still air"),
