@@ -22,7 +22,7 @@ class Flaw(Enum):
 
     GAP = "samples are missing in the middle of the response"
     NOT_SETTLED = "the vehicle had not settled before the step"
-    TAKE_OVER = "the pilot took over during the response"
+    TAKE_OVER = "the flight mode changed during the response (a take-over, a failsafe, a mission)"
     CLIPPED = "a sensor or a command was at its limit"
     WRONG_MODE = "the autopilot was not in the maneuver's mode"
     LINK_LOST = "targets stopped arriving during the response"

@@ -39,5 +39,5 @@ def test_free_flight_pauses_the_ground_and_a_take_over(fly):
     assert 2.0 < found[Use.REJECTED] < 4.0
     assert found[Use.FREE] == pytest.approx(20.0 - 3.0 - found[Use.REJECTED] - found[Use.SHORT], abs=0.2)
     assert {s.why for s in budget(recording, cut(recording)) if s.use is Use.REJECTED} == {
-        "the pilot took over during the response"
+        "the flight mode changed during the response (a take-over, a failsafe, a mission)"
     }
