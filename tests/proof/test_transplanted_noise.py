@@ -208,7 +208,7 @@ def test_a_vehicle_that_the_air_tilts_is_pushed_by_its_thrust_and_answers_only_b
 
 
 def test_what_hits_the_ground_is_no_noise(listed):
-    crashed = windy(30.0)
+    crashed = windy()
     crashed[-100:, 1 + NAMES.index("f_z_m_s2")] += 20.0 * np.sign(np.sin(40.0 * crashed[-100:, 0]))
     np.savetxt(listed[1] / "crash.csv", crashed, delimiter=",", header=",".join(("t_s", *NAMES)), comments="")
     blocks = transplanted_noise.blocks_of(
