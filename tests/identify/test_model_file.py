@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from flighttest.errors import ModelError
+from flighttest.identify.free_flight.equation_fit import fit_of_estimates
+from flighttest.identify.free_flight.estimated import HeldEstimate
 from flighttest.identify.models import model_file
 from flighttest.identify.models.compare import compare
+from flighttest.physics.model import Model
 from tests.identify.campaign import TRUTH
 
 
@@ -202,3 +205,15 @@ def test_a_fit_that_no_fit_can_have_found_is_refused(tmp_path):
     path.write_text("format: model/1\nterms: [body, 3, [1]]\nparameters: {K: {value: 50}}\n")
     with pytest.raises(ModelError, match="no term is called"):
         model_file.read(path)
+
+
+def test_a_parameter_that_only_prediction_errors_show_does_not_end_the_model_file(flown):
+    """The acceleration limit of a shaping was estimated by prediction errors and never reached: it changes nothing in output error, and a
+    diagnosis ended in a traceback after 100 s."""
+    values = {"shaping_accel": 399.0, "shaping_tc": 0.5, "shaping_ff": 1.0}
+    estimate = HeldEstimate(tuple(values), values, np.diag([25.0, 1e-4, 1e-2]), 20.0)
+    made = fit_of_estimates(flown, Model(("linear_drag", "reference_shaping")), [estimate])
+    normal = made.solution.normal
+    assert not normal.hessian[:, normal.names.index("shaping_accel")].any()
+    entry = model_file.as_data(made)["parameters"]["shaping_accel"]
+    assert (entry["value"], entry["std"]) == pytest.approx((399.0, 5.0))
