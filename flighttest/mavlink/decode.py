@@ -233,7 +233,7 @@ def _assemble(collected: StreamDecoder, source: SenderId) -> Decoded:
         throttle = raw["VFR_HUD"]["throttle"] * 1e-2
         series["reference"] = _ordered(times["VFR_HUD"], {"throttle": throttle}, "VFR_HUD", losses)
         derived["throttle"] = "VFR_HUD.throttle, after tilt boost, in whole percents: no ATTITUDE_TARGET was recorded"
-        reference_clock = "vehicle"
+        reference_clock = "ground"  # neither it nor NAV_CONTROLLER_OUTPUT carries a stamp: when they arrived is known
     markers = markers_from_texts([t for t in collected.texts if span[0] <= t.ground_s <= span[1]], system, clock)
     if beats:
         series["state"] = _ordered(

@@ -90,7 +90,7 @@ class Provenance:
     filters: known measurement filters as channel group to cut-off frequency, Hz (second-order Butterworth low-pass, as
     ArduPilot's INS_ACCEL_FILTER); derived: channel name to the sentence on how it was derived.
     autopilot: the board's own number, '' where it is not known;
-    reference_clock: 'vehicle' when the reference is stamped on its arrival at the vehicle, 'ground' when on its sending.
+    reference_clock: 'vehicle' when the reference is stamped on its arrival at the vehicle, 'ground' when by the ground: sent, or received.
     """
 
     source: str

@@ -88,6 +88,7 @@ def test_what_every_ground_station_records_holds_references_where_there_are_no_b
             {"roll_ref_rad": 0.2, "pitch_ref_rad": 0.0, "roll_shaped_rad": 0.2, "throttle": 0.31}
         )
         assert r.channel("yaw_rate_ref_rad_s")[1][5] == pytest.approx(0.5)
+        assert r.provenance.reference_clock == "vehicle"
         return
     roll, pitch = np.radians([10.0, 5.0])
     expected = {"roll_ref_rad": roll, "pitch_ref_rad": -pitch, "roll_shaped_rad": roll, "throttle": 0.37}
@@ -95,6 +96,7 @@ def test_what_every_ground_station_records_holds_references_where_there_are_no_b
     assert not r.has("yaw_rate_ref_rad_s")
     assert "NAV_CONTROLLER_OUTPUT" in r.provenance.derived["roll_shaped_rad"]
     assert "VFR_HUD" in r.provenance.derived["throttle"]
+    assert r.provenance.reference_clock == "ground"  # delays hold the error of the clock
 
 
 def test_an_accelerometer_filter_that_was_not_recorded_is_assumed_and_said(tmp_path):
