@@ -100,15 +100,14 @@ class TestCommand:
 
     def test_a_port_that_somebody_needs_is_taken_or_the_launch_refused(self, tmp_path):
         fake = program(tmp_path / "arducopter")
+        base = free_ports()
         with socket.socket() as taken:
-            taken.bind(("127.0.0.1", 0))
+            taken.bind(("127.0.0.1", base + 3))
             taken.listen()
-            busy = taken.getsockname()[1]
-            with pytest.raises(LinkError, match=f"port {busy} cannot be used; a SITL at {busy - 3} needs"):
-                launch(SitlOptions(port=busy - 3), binary=fake, wait_s=0.0)
+            with pytest.raises(LinkError, match=f"port {base + 3} cannot be used; a SITL at {base} needs"):
+                launch(SitlOptions(port=base), binary=fake, wait_s=0.0)
         with pytest.raises(LinkError, match="port 65536 cannot be used"):
             launch(SitlOptions(port=65530), binary=fake, wait_s=0.0)
-        base = free_ports()
         with launch(SitlOptions(port=base), binary=fake, wait_s=0.0) as vehicle:
             assert vehicle.url == f"tcp:127.0.0.1:{base}"
 
