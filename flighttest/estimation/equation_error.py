@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from flighttest.estimation.linearisation import orthonormal
@@ -78,18 +77,21 @@ class Autoregression:
     def whitened(self, values: FloatArray) -> FloatArray:
         """(n, ...) of (n, ...): filtered along time, of unit variance; the first samples by the lower orders that their past allows."""
         filters, std = self._starting
-        first = min(self.order, len(values))
-        out = np.zeros(values.shape)
-        out[:first] = np.tensordot(filters[:first, :first] / std[:first, None], values[:first], axes=1)
-        left = len(values) - first
+        flat = values.reshape(len(values), -1)
+        first = min(self.order, len(flat))
+        out = np.empty(flat.shape)
+        out[:first] = (filters[:first, :first] / std[:first, None]) @ flat[:first]
+        left = len(flat) - first
         if left:
             # Products of matrices: a third of the time of a sum over lags.
-            flat = values[first - self.order :].reshape(self.order + left, -1)
-            flat = np.concatenate([flat, np.zeros((-left % BATCH, flat.shape[1]))])
-            windows = np.moveaxis(sliding_window_view(flat, self.order + BATCH, axis=0)[::BATCH], -1, 1)
-            made = (self._batch @ windows).reshape(len(flat) - self.order, flat.shape[1])
-            out[first:] = made[:left].reshape(out[first:].shape)
-        return out
+            count, width = -(-left // BATCH), flat.shape[1]
+            filled = np.zeros((self.order + count * BATCH, width))
+            filled[: self.order + left] = flat[first - self.order :]
+            row, column = filled.strides
+            shape = (count, self.order + BATCH, width)
+            windows: FloatArray = np.ndarray(shape, buffer=filled, strides=(BATCH * row, row, column))
+            out[first:] = (self._batch @ windows).reshape(count * BATCH, width)[:left]
+        return out.reshape(values.shape)
 
     def log_scale(self, size: int) -> float:
         """Sum of the logarithms of the standard deviations that `whitened` divides so many samples by."""
@@ -116,12 +118,16 @@ def autoregression(stretches: Sequence[FloatArray], most: int = MOST_LAGS) -> Au
     variance = power = sum(float(s @ s) for s in usable) / total
     if not variance > LEAST_STD**2:
         return Autoregression(np.ones(1), LEAST_STD)
-    forward, backward = [s[1:] for s in usable], [s[:-1] for s in usable]
+    forward = np.concatenate(usable)  # all at once; between stretches, where there are no pairs, both are 0
+    backward = forward.copy()
+    begins = np.cumsum([s.size for s in usable])[:-1]
     a = np.ones(1)
     best, least = (a, power), total * np.log(power)
     for order in range(1, most + 1):
-        product = sum(float(f @ b) for f, b in zip(forward, backward, strict=True))
-        reflection = -2.0 * product / sum(float(f @ f + b @ b) for f, b in zip(forward, backward, strict=True))
+        forward, backward = forward[1:], backward[:-1]
+        for one, at in ((forward, begins - 1), (backward, begins - order)):
+            one[at[(at >= 0) & (at < one.size)]] = 0.0
+        reflection = -2.0 * float(forward @ backward) / float(forward @ forward + backward @ backward)
         a = np.append(a, 0.0)
         a = a + reflection * a[::-1]
         power *= 1.0 - reflection**2
@@ -130,8 +136,7 @@ def autoregression(stretches: Sequence[FloatArray], most: int = MOST_LAGS) -> Au
         criterion = total * np.log(power) + 2.0 * order
         if criterion < least:
             best, least = (a, power), criterion
-        pairs = [(f + reflection * b, b + reflection * f) for f, b in zip(forward, backward, strict=True)]
-        forward, backward = [f[1:] for f, _ in pairs], [b[:-1] for _, b in pairs]
+        forward, backward = forward + reflection * backward, backward + reflection * forward
     return Autoregression(best[0], max(float(np.sqrt(best[1])), LEAST_STD))
 
 
@@ -167,11 +172,11 @@ def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per
     starts: dict[tuple[str, int], int] = {}
     for s in streams:
         ar = noise[s.channel]
-        r = ar.whitened(s.residual)
-        if not r.size:
+        if not s.residual.size:
             continue
+        r, along = _whitened(ar, s)
         residual.append(r)
-        columns.append(_whitened_columns(ar, s.columns))
+        columns.append(along)
         group.append(np.full(r.size, s.group))
         channel.append(np.full(r.size, s.channel))
         # The channels of one moment are of one block: a gust moves them all.
@@ -189,12 +194,13 @@ def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per
     return Whitened(np.concatenate(residual), np.concatenate(columns), of, at, np.concatenate(channel))
 
 
-def _whitened_columns(ar: Autoregression, columns: FloatArray) -> FloatArray:
-    """As `whitened`; of nine flights with winds of their own most columns of each are nothing."""
-    used = columns.any(axis=0)
-    found = np.zeros(columns.shape)
-    found[:, used] = ar.whitened(columns[:, used])
-    return found
+def _whitened(ar: Autoregression, s: Stream) -> tuple[FloatArray, FloatArray]:
+    """Residual and columns of a stream; of nine flights with winds of their own most columns of each are nothing."""
+    used = s.columns.any(axis=0)
+    made = ar.whitened(np.column_stack([s.residual, s.columns[:, used]]))
+    columns = np.zeros(s.columns.shape)
+    columns[:, used] = made[:, 1:]
+    return made[:, 0], columns
 
 
 def log_scale(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> float:
@@ -289,11 +295,11 @@ def lack_of_fit(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) 
     along = {c: np.zeros((width, width)) for c in noise}
     for s in streams:
         ar = noise[s.channel]
-        more, columns = ar.whitened(second_order(s.state)), _whitened_columns(ar, s.columns)
+        more, (residual, columns) = ar.whitened(second_order(s.state)), _whitened(ar, s)
         beside = orthonormal(columns)
         left = more - beside @ (beside.T @ more)
         own = orthonormal(left[:, np.sum(left**2, axis=0) > SHARED * np.sum(more**2, axis=0)])
-        square[s.channel] += float(np.sum((own.T @ ar.whitened(s.residual)) ** 2))
+        square[s.channel] += float(np.sum((own.T @ residual) ** 2))
         count[s.channel] += own.shape[1]
         part = orthonormal(more).T @ columns
         along[s.channel] += part.T @ part

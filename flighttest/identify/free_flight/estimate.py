@@ -277,7 +277,9 @@ class _PredictionErrors:
 
     def start(self) -> _Point:
         """At the start values, inside the bounds."""
-        return self.point(self.space.inside(np.array([self.base[c] for c in self.columns])))
+        given = np.array([self.base[c] for c in self.columns])
+        inside = self.space.inside(given)
+        return _Point(given, self.first, finite=True) if np.array_equal(inside, given) else self.point(inside)
 
     def point(self, theta: FloatArray) -> _Point:
         """The equations at parameters (q,), with their Jacobian."""
