@@ -63,7 +63,8 @@ class PartAnswer:
     accepted: named terms and what they gain, nats; terms: everything that joined the model; tried: ids of the terms that these recordings
     determine something of; floors, cells, curves, overlaid, errors, left: as in `Diagnosis`; shares: channel (short) to what stays of its
     error, or `TOGETHER` to what stays of that of all; error: which error that is, in words; staying: channels whose mismatch stays; held:
-    what prediction errors or kinematics showed of the final model; winds: of flights.
+    what prediction errors or kinematics showed of the final model; null: coefficients of named terms that are held at these values, since
+    their estimates were not the term's effect; winds: of flights.
     """
 
     complete: bool = True
@@ -88,6 +89,7 @@ class PartAnswer:
     error: str = ABOVE_FLOOR
     staying: set[str] = field(default_factory=set)
     held: HeldEstimate | None = None
+    null: dict[str, float] = field(default_factory=dict)
     winds: tuple[FlightWind, ...] = ()
 
     @property

@@ -173,11 +173,11 @@ def _final_fit(
     asked: Asked, answers: Sequence[PartAnswer], searches: Sequence[Search], final: Model, winds: Sequence[FlightWind]
 ) -> Fit:
     """The final model, fitted to every response; model.yaml, the report and the findings print its values and intervals. What prediction
-    errors showed is held there; they are in the frame of the air."""
+    errors showed is held there, and what is no effect of its term; they are in the frame of the air."""
     estimates = [a.held for a in answers if a.held]
     if final == asked.model and asked.base and not estimates:
         return asked.base
-    held: dict[str, float] = {}
+    null = merged(a.null for a in answers)
     begun = None
     if asked.base:
         start = {n: v for n, v in asked.base.values.items() if n in final.names}
@@ -185,13 +185,12 @@ def _final_fit(
         for search in searches:
             assert search.now is not None
             values = search.now.at.values  # of every parameter: those of other blocks are the base's
-            held |= {n: values[n] for t in search.named for n in search.held(t)}
-            start |= {n: values[n] for n in search.now.names} | held
+            start |= {n: values[n] for n in search.now.names} | null
             noise |= search.now.at.noise
             nuisance |= search.now.at.nuisance
         begun = Start(start, noise, nuisance)
     segments = in_still_air(asked.recorded, winds) if estimates else asked.recorded
-    return fit_of_estimates(segments, final, estimates, start=begun, frozen=held)
+    return fit_of_estimates(segments, final, estimates, start=begun, frozen=null)
 
 
 def _in_units(name: str, unit: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from flighttest.diagnose.model import brief
@@ -36,6 +38,12 @@ def with_owner(term: Term, sentence: str) -> str:
         return sentence
     title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
     return f"This is your {term.family} ({title}): {sentence}"
+
+
+def numbers_in_words(rows: Mapping[str, ParameterRow], held: Sequence[str]) -> str:
+    """Parameters of a term with their intervals, and which of its coefficients are held at their null values."""
+    words = ", ".join(parameter_in_words(n, row) for n, row in rows.items())
+    return words + (f"; {', '.join(held)} held at 0, since its estimate was another effect" if held else "")
 
 
 def parameter_in_words(name: str, row: ParameterRow) -> str:

@@ -81,6 +81,19 @@ def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monke
     assert found.refused["attitude_offset"][1] == "it cannot be"
 
 
+def test_a_coefficient_that_cannot_be_is_held_at_nothing_beside_those_that_can():
+    """One that pushes was refused with the two that brake: what drove it there is not their effect."""
+    flown = flight(80.0, 24, gust=0.2, climb=1.0, run="fast", quadratic=(0.2, 0.2, -0.15))
+    found = diagnose(flown, Model())
+    (finding,) = [f for f in found.findings if f.term == "quadratic_drag"]
+    assert set(finding.parameters) == {"k_x", "k_y"}
+    for name, row in finding.parameters.items():
+        low, high = row["interval_95"]
+        assert low < 0.2 < high, name
+    assert found.values["k_z"] == 0.0
+    assert "k_z held at 0" in finding.sentence
+
+
 def test_of_a_differentiated_velocity_means_are_held_out_whose_noise_is_that_of_their_ends():
     """0.03 m/s at either end of half a second; single samples would have 2 m/s^2 of noise, in which no name is better or worse."""
     found = find_terms(stretches(flight(120.0, 26, gust=0.0, accelerometer=False, run="still")), ALONE, ())

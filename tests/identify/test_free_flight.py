@@ -22,8 +22,19 @@ GAIN, SIGMA, DELAY_S, DRAG = 50.0, 18.0, 0.06, np.array([0.4, 0.3, 0.5])
 DT, RATE_HZ = 0.01, 50
 
 
-def flight(seconds, seed, wind=(0.0, 0.0), gust=0.4, run="run", offset=0.0, accelerometer=True, climb=0.5):
-    """Windows of free flight under a position loop that answers gusts; m, s. Euler attitude with a lag of 60 ms, gusts of 1 s."""
+def flight(
+    seconds,
+    seed,
+    wind=(0.0, 0.0),
+    gust=0.4,
+    run="run",
+    offset=0.0,
+    accelerometer=True,
+    climb=0.5,
+    quadratic=(0.0, 0.0, 0.0),
+):
+    """Windows of free flight under a position loop that answers gusts; m, s. Euler attitude with a lag of 60 ms, gusts of 1 s.
+    quadratic: force over mass by the square of the airspeed along each axis, 1/m."""
     rng = np.random.default_rng(seed)
     n = int(seconds / DT)
     p, v, angles, w = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(3)
@@ -31,7 +42,7 @@ def flight(seconds, seed, wind=(0.0, 0.0), gust=0.4, run="run", offset=0.0, acce
     asked, goal, throttle = np.zeros(2), np.zeros(3), 9.81 / GAIN
     out = np.empty((n, 14))
     push = gust * np.sqrt(2 * DT) * rng.standard_normal((n, 3))
-    air = np.array([*wind, 0.0])
+    air, quadratic = np.array([*wind, 0.0]), np.array(quadratic)
     for k in range(n):
         if k % 300 == 0:
             goal = rng.uniform(-4.0, 4.0, 3) * [1.0, 1.0, climb]
@@ -43,7 +54,8 @@ def flight(seconds, seed, wind=(0.0, 0.0), gust=0.4, run="run", offset=0.0, acce
         late.append(throttle)
         cr, sr, cp, sp = np.cos(angles[0]), np.sin(angles[0]), np.cos(angles[1]), np.sin(angles[1])
         rotation = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
-        force = np.array([offset * a_t, 0.0, a_t]) - DRAG * (rotation.T @ (v - air)) + rotation.T @ w
+        along = rotation.T @ (v - air)
+        force = np.array([offset * a_t, 0.0, a_t]) - (DRAG + quadratic * np.abs(along)) * along + rotation.T @ w
         out[k] = [k * DT, *angles, *force, *v, *p, throttle, a_t]
         a_t += (GAIN * late.pop(0) - a_t) * (1.0 - np.exp(-SIGMA * DT))
         angles = angles + (asked - angles) * DT / 0.06

@@ -11,10 +11,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from flighttest.diagnose.answer import SEED, TOGETHER, Asked, PartAnswer
+from flighttest.diagnose.answer import SEED, TOGETHER, Asked, PartAnswer, merged
 from flighttest.diagnose.free_flight.equation_search import PART_IN_WORDS, EquationSearch, find_terms
 from flighttest.diagnose.free_flight.prediction import held_out_table
-from flighttest.diagnose.free_flight.reported import candidates_of, findings_of, notes_of_search, smallest_of, table_of
+from flighttest.diagnose.free_flight.reported import (
+    candidates_of,
+    findings_of,
+    held_at_null,
+    notes_of_search,
+    smallest_of,
+    table_of,
+)
 from flighttest.diagnose.model import Finding, Untestable, short
 from flighttest.diagnose.records import WITH_GUSTS, FloorRow, ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
@@ -67,6 +74,7 @@ def by_prediction_errors(part: str, asked: Asked, winds: Sequence[FlightWind] = 
         return PartAnswer(notes=[f"nothing in this recording moves the {PART_IN_WORDS[part]}: it is left out"])
     made = PredictionErrorAnswer(complete=search.complete, search=search, held=search.final.held, winds=search.winds)
     made.error = WITH_GUSTS
+    made.null = merged(held_at_null(search, t) for t in asked.pool if t.id in search.named)
     made.terms = tuple(t for t in search.final.model.terms if t not in model.terms and t != WIND_TERM)
     made.accepted = {t: n.nats for t, n in search.named.items()}
     known = {*search.named, *search.refused, *made.terms, *(one.term for one in search.screened)}

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
-from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
+from flighttest.diagnose.selection.admissible import EstimatedModel, not_allowed_beside_others, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import PROBABILITY, level_of, log_odds_asked, probability_of
@@ -125,12 +125,12 @@ def find_terms(
     estimated from.
     """
     declared, priors = still_air(weather)
-    asked = _Asked(flown, part, priors)
-    progress(f"estimating the base model of the {PART_IN_WORDS[part]}")
-    base = asked.estimate(model, {k: v for k, v in (start or {}).items() if k in model.names})
     known = {t.id: t for t in pool if seen_by_equations(t, model, part) and not missing_channels(t, tuple(flown))}
     if any(np.isfinite(s.y.get("f_x_m_s2", np.nan)).any() for s in flown):
         known.pop(LATENCY, None)  # an accelerometer shows forces without the velocity
+    asked = _Asked(flown, part, priors, tuple(t for t in known.values() if t.id not in model.terms))
+    progress(f"estimating the base model of the {PART_IN_WORDS[part]}")
+    base = asked.estimate(model, {k: v for k, v in (start or {}).items() if k in model.names})
     found = EquationSearch(flown, base, base, offered=tuple(known), declared=declared)
     found.turned = part != "translation" or turned(flown)
     try:
@@ -148,27 +148,43 @@ def find_terms(
 
 @dataclass(frozen=True)
 class _Asked:
+    """pool: terms that are looked for."""
+
     flown: Sequence[Segment]
     part: str
     priors: Mapping[str, tuple[float, float]]
+    pool: tuple[Term, ...]
     _known: dict[tuple[Model, Any], FreeFlight] = field(default_factory=dict)
 
     def estimate(self, model: Model, *starts: Mapping[str, float]) -> FreeFlight:
-        """From one or several starts, once: what looks like a wind is compared with it and then asked for by itself."""
+        """From one or several starts, once: what looks like a wind is compared with it and then asked for by itself. Coefficients that
+        are not their term's effect (`not_allowed_beside_others`) are held at their null values, and the rest estimated again."""
         key = model, tuple(tuple(start.items()) for start in starts)
         if key not in self._known:
-            self._known[key] = estimate(self.flown, model, part=self.part, start=starts, **self._given(model))
+            free = determined(self.flown, model)
+            found = estimate(self.flown, model, part=self.part, start=starts, **self._given(model, free))
+            if held := self._not_estimates(found):
+                free = [n for n in free if n not in held]
+                start = {**found.values, **held}
+                found = estimate(self.flown, model, part=self.part, start=start, **self._given(model, free))
+            self._known[key] = found
         return self._known[key]
 
-    def covariance_at(self, found: FreeFlight, null: Mapping[str, float]) -> FloatArray:
-        return covariance_at(self.flown, found, null, **self._given(found.model))
+    def _not_estimates(self, found: FreeFlight) -> dict[str, float]:
+        """Name to null value."""
+        estimates = EstimatedModel(found.names, found.values, lambda: found.std, self.flown)
+        terms = ([p for p in t.amplitudes if p.name in found.names] for t in self.pool if t.id in found.model.terms)
+        return {p.name: null_value(p) for own in terms for p in not_allowed_beside_others(own, estimates)}
 
-    def _given(self, model: Model) -> dict[str, Any]:
+    def covariance_at(self, found: FreeFlight, null: Mapping[str, float]) -> FloatArray:
+        return covariance_at(self.flown, found, null, **self._given(found.model, found.estimated))
+
+    def _given(self, model: Model, free: Sequence[str]) -> dict[str, Any]:
         own = WIND if WIND_TERM in model.terms else ()
-        return {"free": determined(self.flown, model), "per_flight": own, "priors": self.priors}
+        return {"free": free, "per_flight": own, "priors": self.priors}
 
     def streams(self, found: FreeFlight) -> list[Stream]:
-        names = list(dict.fromkeys(n.split("@")[0] for n in found.names))
+        names = found.estimated
         own = tuple(n for n in names if n not in found.names)
         with np.errstate(all="ignore"):
             return Equations(found.model, self.flown, self.part).streams(found.values, names, own)[0]

@@ -83,7 +83,7 @@ def _left_out(
     flown: Sequence[Segment], one: FreeFlight, noise: Mapping[str, Autoregression]
 ) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
     """Channel to (errors as predicted without their group, their group, errors of the whole estimate); noise: of one-step predictions."""
-    names = list(dict.fromkeys(n.split("@")[0] for n in one.names))
+    names = one.estimated
     own = tuple(n for n in names if n not in one.names)
     with np.errstate(all="ignore"):
         streams, columns = Equations(one.model, flown, one.part).streams(one.values, names, own)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from flighttest.channels import CHANNELS
-from flighttest.diagnose.findings import parameter_in_words, with_owner
+from flighttest.diagnose.findings import numbers_in_words, with_owner
 from flighttest.diagnose.free_flight.equation_search import OFFSET_TERM, EquationSearch, NamedByEquations
 from flighttest.diagnose.free_flight.prediction import share_gained
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, short
@@ -44,7 +44,7 @@ def _finding(
         parameters = {n: v for n, v in table.items() if final.model.term_of(n) == named.term}
     scale = {c: named.size[c] / final.rms[c] for c in named.size if final.rms.get(c)}
     channel = max(scale, key=lambda c: scale[c])
-    words = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
+    words = numbers_in_words(parameters, tuple(held_at_null(search, term)))
     if named.term == WIND_TERM and len(search.winds) > 1:
         words = f"up to {max(w.speed for w in search.winds):.2g} m/s; each flight has its own"
     size = f"{named.size[channel]:.2g} {CHANNELS[channel].unit} RMS of {short(channel)}"
@@ -80,6 +80,12 @@ def _finding(
         source=term.source,
         doubt=term.doubt,
     )
+
+
+def held_at_null(search: EquationSearch, term: Term) -> dict[str, float]:
+    """Coefficients of a named term that are held at their null values, since physics does not allow what they were."""
+    found = search.final
+    return {p.name: found.values[p.name] for p in term.amplitudes if p.one_sided and p.name not in found.estimated}
 
 
 def smallest_of(search: EquationSearch, pool: Sequence[Term]) -> Iterator[tuple[Term, str, float]]:

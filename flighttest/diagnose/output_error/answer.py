@@ -83,6 +83,7 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
     assert floor is not None
     made.terms = tuple(search.evidence)
     made.accepted = {term: e.nats for term, e in search.evidence.items()}
+    made.null = {n: now.at.values[n] for term in search.named for n in search.held(term)}
     made.tried = frozenset(made.terms) | (frozenset(t.id for t in search.pool) if made.complete else frozenset())
     unchanged, settled = now is base, search.beside_drift()
     before_held, after_held = held_out_errors(base, now, search.estimator, asked.groups)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from flighttest.diagnose.findings import parameter_in_words, with_owner
+from flighttest.diagnose.findings import numbers_in_words, with_owner
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
 from flighttest.diagnose.records import CandidateRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.aliases import aliases_of
@@ -43,9 +43,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
         for a in aliases_of(search, term_id)
     )
     confusable = [r for r in rivals if r.verdict == TermVerdict.CONFUSABLE]
-    numbers = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
-    if held := search.held(term_id):
-        numbers += f"; {', '.join(held)} held at 0, since its estimate was another effect"
+    numbers = numbers_in_words(parameters, search.held(term_id))
     sentence = (
         f"{term.plain} ({numbers}); {brief(evidence.floors)} noise floors in {short(evidence.place[0])} of {flown(evidence.place[1])}; "
         f"probability {_percent(evidence.probability)}{undetermined_sizes(term, parameters)}"

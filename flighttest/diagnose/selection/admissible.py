@@ -81,6 +81,13 @@ def surely_not_allowed(p: Param, found: EstimatedModel) -> bool:
     return _wrong(p, value) and abs(value - null_value(p)) > found.half_interval(p)
 
 
+def not_allowed_beside_others(own: Sequence[Param], found: EstimatedModel) -> list[Param]:
+    """Coefficients of a term (`surely_not_allowed`) beside one that physics does allow: what drove them there is not their effect, and
+    the term is judged by the rest. None where all are."""
+    wrong = [p for p in own if surely_not_allowed(p, found)]
+    return wrong if len(wrong) < len(own) else []
+
+
 def _wrong(p: Param, value: float) -> bool:
     return p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0.0
 

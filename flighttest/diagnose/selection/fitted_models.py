@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from flighttest.diagnose.selection.admissible import EstimatedModel, surely_not_allowed
+from flighttest.diagnose.selection.admissible import EstimatedModel, not_allowed_beside_others
 from flighttest.diagnose.selection.candidates import Candidate, null_value
 from flighttest.diagnose.selection.comparison import Fitted, standard_errors
 from flighttest.diagnose.selection.subsets import Scored
@@ -101,9 +101,7 @@ class FittedModels:
             names, at.values, lambda: standard_errors(self._linearised(model, at, names), segments), segments
         )
         for term in self.pool:
-            own = [p for p in amplitudes if model.term_of(p.name) == term.id]
-            wrong = [p for p in own if surely_not_allowed(p, estimates)]
-            found += wrong if len(wrong) < len(own) else []
+            found += not_allowed_beside_others([p for p in amplitudes if model.term_of(p.name) == term.id], estimates)
         return {p.name: null_value(p) for p in found}
 
     def _linearised(self, model: Model, at: Optimum, names: tuple[str, ...]) -> Fitted:

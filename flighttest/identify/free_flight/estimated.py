@@ -65,6 +65,11 @@ class FreeFlight:
         dof = float(max(self.blocks - len(self.names), 1))
         return HeldEstimate(self.names, self.values, self.covariance, dof, self.priors)
 
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Names of the estimated parameters, one with a value for each flight once."""
+        return tuple(dict.fromkeys(n.split("@")[0] for n in self.names))
+
     def factor(self, level: float = 0.95) -> float:
         """Half an interval in standard errors (Student's t)."""
         return interval_factor(self.held.dof, level)
