@@ -31,16 +31,18 @@ def texts(repository):
 
 def found(pattern: str, texts: dict[str, str]) -> dict[str, int]:
     """How often a word stands in each file, its name included; letters on neither side."""
-    whole = re.compile(rf"(?<![a-z]){pattern}(?![a-z])")
+    whole = re.compile(rf"(?<![a-z])(?:{pattern})(?![a-z])")
     counts = {name: len(whole.findall(f"{name}\n{text}")) for name, text in texts.items()}
     return {name: n for name, n in counts.items() if n}
 
 
 def test_words_that_are_gone_do_not_come_back(words, texts):
     more = {}
+    any_of_them = found("|".join(words.GONE), texts)  # one pass over what has none
+    some = {name: texts[name] for name in any_of_them}
     for pattern, say in words.GONE.items():
         allowed = words.STILL.get(pattern, {})
-        for name, n in found(pattern, texts).items():
+        for name, n in found(pattern, some).items():
             if n > allowed.get(name, 0):
                 more[f"{name}: {pattern}"] = f"{n} times, {allowed.get(name, 0)} allowed; say: {say}"
     assert not more
