@@ -16,6 +16,7 @@ from pyulog.exceptions import ULogException
 from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile, name_of
+from flighttest.logs.other_vehicles import refuse_by_px4
 from flighttest.logs.timing import held_union, ordered, outliers
 from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY
 from flighttest.recording import Marker, Provenance, Recording, Series
@@ -104,6 +105,9 @@ class _Importer:
 
     def recording(self) -> Recording:
         """All series that the log allows."""
+        if (status := self._topic("vehicle_status")) is not None:
+            kinds, vtol = (np.asarray(status[1].get(name, ())) for name in ("vehicle_type", "is_vtol"))
+            refuse_by_px4(self.path, {int(k) for k in kinds}, bool(vtol.any()))
         groups = {
             "attitude": self._attitude(),
             "rates": self._rates(),

@@ -39,8 +39,8 @@ class Decoded:
     """What a message stream holds. See `Recording` and `Provenance` for the meaning of the fields.
 
     series: group to Series on the vehicle's clock. origin: (latitude, longitude) deg of the local frame, or None. counts: message
-    name to number received. vehicle_system: the system id that was taken as the vehicle; autopilot: what its HEARTBEAT calls itself;
-    board: its own number, '' where it was not recorded.
+    name to number received. vehicle_system: the system id that was taken as the vehicle; autopilot, vehicle_type: what its HEARTBEAT calls
+    itself; board: its own number, '' where it was not recorded.
     """
 
     series: Mapping[str, Series]
@@ -53,6 +53,7 @@ class Decoded:
     reference_clock: str
     vehicle_system: int
     autopilot: int = dialect.MAV_AUTOPILOT_INVALID
+    vehicle_type: int = dialect.MAV_TYPE_GENERIC
     origin: tuple[float, float] | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
     board: str = ""
@@ -175,10 +176,8 @@ class StreamDecoder:
         if vehicle_system is None and not self.autopilots:
             raise RecordingError("no autopilot HEARTBEAT in the MAVLink stream", "is this the log of a vehicle's link?")
         candidates = [s for s in self.autopilots if vehicle_system in (None, s[0])]
-        return _assemble(
-            self,
-            max(candidates, key=lambda s: self.autopilots[s], default=(vehicle_system or 0, COMPONENT_AUTOPILOT)),
-        )
+        unknown = (vehicle_system or 0, COMPONENT_AUTOPILOT)
+        return _assemble(self, max(candidates, key=lambda s: self.autopilots[s], default=unknown))
 
 
 def decode_stream(stream: Iterable[tuple[float, Any]], *, vehicle_system: int | None = None) -> Decoded:
@@ -252,6 +251,7 @@ def _assemble(collected: StreamDecoder, source: SenderId) -> Decoded:
         reference_clock=reference_clock,
         vehicle_system=system,
         autopilot=autopilot,
+        vehicle_type=next((int(a) for a in beats.get("type", ())), dialect.MAV_TYPE_GENERIC),
         origin=collected.origins.get(source),
         counts={kind: int(times.size) for kind, times in ground.items()},
     )

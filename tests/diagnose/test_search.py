@@ -244,15 +244,17 @@ def test_what_is_named_beside_a_term_that_goes_is_judged_anew(searched):
     assert searched(scores, finds | {("c", "c"): 0.0}).named == frozenset()
 
 
-def test_a_term_beside_which_one_that_explains_more_cannot_be_leaves_in_its_place(searched):
-    """A third pole of 185 nats bent a reference shaping of 92,000 until its feedforward was at its bound."""
-    bound = "it is at its bound"
-    search = searched({"ab": 10.0}, {("ab", "a"): (bound, 93.0), ("ab", "b"): 12.0, "a": 93.0})
+@pytest.mark.parametrize("reason", ["inadmissible", "nothing"])
+def test_a_term_beside_which_one_that_explains_more_cannot_be_leaves_in_its_place(searched, reason):
+    """A third pole of 185 nats bent a reference shaping of 92,000 until its feedforward was at its bound. Beside a rate limit of 330 nats
+    the three parameters of a shaping of 380 were known by nothing, and the rate limit was named."""
+    refused = {reason: "it is not known", "nats": 93.0}
+    search = searched({"ab": 10.0}, {("ab", "a"): refused, ("ab", "b"): 12.0, "a": 93.0})
     assert search.named == {"a"}
-    assert "a, which explains more, cannot be beside it" in search.rejected["b"].why_not
+    assert "a, which explains more, cannot be beside it (it is not known)" in search.rejected["b"].why_not
     # Not where it cannot be by itself, either, nor where the other one explains more.
-    assert searched({"ab": 10.0}, {"a": (bound, 93.0), "b": 12.0}).named == {"b"}
-    assert searched({"ab": 10.0}, {("ab", "a"): (bound, 93.0), "a": 93.0, "b": 200.0}).named == {"b"}
+    assert searched({"ab": 10.0}, {"a": refused, "b": 12.0}).named == {"b"}
+    assert searched({"ab": 10.0}, {("ab", "a"): refused, "a": 93.0, "b": 200.0}).named == {"b"}
 
 
 def test_an_older_term_is_asked_only_once_the_newcomers_stay(searched):

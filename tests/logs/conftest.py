@@ -115,8 +115,9 @@ def ulog_bytes():
     return small_ulog
 
 
-def small_ulog(fifth: float = np.nan) -> bytes:
-    """A PX4 log of 3 s: attitude at 100 Hz rolled 0.1 rad (NED), setpoints, accelerometer, battery, four motors and perhaps a fifth."""
+def small_ulog(fifth: float = np.nan, kinds: tuple[int, ...] = (0, 1), vtol: bool = False) -> bytes:
+    """A PX4 log of 3 s: attitude at 100 Hz rolled 0.1 rad (NED), setpoints, accelerometer, battery, four motors and perhaps a fifth; kinds:
+    what PX4 takes the vehicle for, one after the other."""
 
     def message(kind: str, body: bytes) -> bytes:
         return struct.pack("<HB", len(body), ord(kind)) + body
@@ -132,7 +133,10 @@ def small_ulog(fifth: float = np.nan) -> bytes:
             ),
             "sensor_combined": ("uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;", "Q3f3f"),
             "battery_status": ("uint64_t timestamp;float voltage_v;float current_a;", "Qff"),
-            "vehicle_status": ("uint64_t timestamp;uint8_t nav_state;uint8_t arming_state;", "QBB"),
+            "vehicle_status": (
+                "uint64_t timestamp;uint8_t nav_state;uint8_t arming_state;uint8_t vehicle_type;bool is_vtol;",
+                "QBBB?",
+            ),
             "actuator_motors": ("uint64_t timestamp;float[12] control;", "Q12f"),
         }
         for name, (layout, _) in formats.items():
@@ -147,7 +151,8 @@ def small_ulog(fifth: float = np.nan) -> bytes:
             return message("D", struct.pack("<H", number) + struct.pack("<" + code, *values))
 
         q = (np.cos(0.05), np.sin(0.05), 0.0, 0.0)
-        out += data(4, 500_000, 14, 2)
+        for k, kind in enumerate(kinds):
+            out += data(4, 500_000 + k * 1000, 14, 2, kind, vtol)
         for k in range(300):
             t = 1_000_000 + k * 10_000
             out += data(0, t, *q)

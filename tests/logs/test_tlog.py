@@ -29,14 +29,14 @@ class TlogWriter:
         self.data += struct.pack(">Q", round((EPOCH_S + t_s) * 1e6)) + frame
 
 
-def link(dialect=v2, seconds=4.0, up_s=0.0, down_s=0.01, parameter=True):
-    """A vehicle that began 20 s before its log, attitude at 50 Hz, and a ground that asks for a roll step at t = 2 s."""
+def link(dialect=v2, seconds=4.0, up_s=0.0, down_s=0.01, parameter=True, kind=v2.MAV_TYPE_QUADROTOR):
+    """A vehicle, of a MAV_TYPE, that began 20 s before its log, attitude at 50 Hz, and a ground that asks for a roll step at 2 s."""
     w = TlogWriter(dialect)
     for k in range(round(seconds * 50)):
         t = k / 50.0
         boot = 20.0 + t
         if k % 50 == 0:
-            w.add(t + down_s, dialect.MAVLink_heartbeat_message(2, 3, 128 | 1, 20, 4, 3))
+            w.add(t + down_s, dialect.MAVLink_heartbeat_message(kind, 3, 128 | 1, 20, 4, 3))
             w.add(t, dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), system=255, component=190)
         w.add(t + down_s, dialect.MAVLink_attitude_message(round(boot * 1e3), 0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
         roll = 0.25 if t >= 2.0 else 0.0

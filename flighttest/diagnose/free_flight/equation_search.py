@@ -367,7 +367,7 @@ def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
     if not np.isfinite(nats) or nats <= 0.0:
         return f"it predicts no better than its parameters cost ({nats:.1f} nats)"
     if (probability := probability_of(nats, candidates)) < PROBABILITY:
-        return f"evidence of {nats:.1f} nats: the probability that it is needed is {probability:.2g}"
+        return f"evidence of {nats:.1f} nats: the probability that it is needed is {probability:.3g}"
     if p_value >= level:
         return f"its coefficients are not significant (p {p_value:.2g}, asked {level:.2g})"
     if all(value < DRIFT.get(c, 0.0) for c, value in trial.size.items()):

@@ -111,7 +111,7 @@ class Evidence:
         if why := worse_in_more(len(self.worsened), len(self.improved)):
             return why
         if not self.probability >= PROBABILITY:
-            return f"cross-validated evidence of {self.nats:.1f} nats: the probability that it is needed is {self.probability:.2g}"
+            return f"cross-validated evidence of {self.nats:.1f} nats: the probability that it is needed is {self.probability:.3g}"
         return self.nothing
 
 

@@ -21,6 +21,7 @@ from flighttest.logs.ardupilot.targets import Targets
 from flighttest.logs.ardupilot.text_log import messages
 from flighttest.logs.ardupilot.times import Stamped, Times
 from flighttest.logs.opening import LogFile, name_of
+from flighttest.logs.other_vehicles import refuse_by_firmware
 from flighttest.logs.timing import ordered
 from flighttest.mavlink import offset_m
 from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY, motor_columns
@@ -113,6 +114,8 @@ class _Importer:
         self.derived: dict[str, str] = {}
         self.choices: dict[str, str] = {}
         self.parameters = logged_parameters(self.tables)
+        self.firmware = firmware(self.tables)
+        refuse_by_firmware(path, self.firmware, self.parameters)
 
     def recording(self) -> Recording:
         """All series that the log allows."""
@@ -145,7 +148,7 @@ class _Importer:
                 source=str(self.path),
                 importer="ardupilot_bin",
                 sha256=self.file.sha256,
-                firmware=firmware(self.tables),
+                firmware=self.firmware,
                 parameters=self.parameters,
                 clock=cast(ClockData, {"method": "vehicle", "offset_s": 0.0, "error_s": 0.0, **self.choices}),
                 losses=tuple(self.losses),

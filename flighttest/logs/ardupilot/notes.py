@@ -51,13 +51,16 @@ def parameter_changes(parm: Stamped | None) -> list[Marker]:
     return notes
 
 
+_FIRMWARE = re.compile(r"(Copter|Plane|Rover|Sub|Blimp)\b.*V\d")
+
+
 def firmware(tables: Mapping[str, Stamped]) -> str:
     """The firmware's version string, empty where the log does not hold it."""
     if "VER" in tables and "FWS" in tables["VER"][0]:
         return tables["VER"][0].text("FWS")[0]
     if "MSG" in tables and "Message" in tables["MSG"][0]:
         for text in tables["MSG"][0].text("Message"):
-            if "Copter" in text and re.search(r"V\d", text):
+            if _FIRMWARE.search(text):
                 return text
     return ""
 
