@@ -94,6 +94,14 @@ def test_a_coefficient_that_cannot_be_is_held_at_nothing_beside_those_that_can()
     assert "k_z held at 0" in finding.sentence
 
 
+def test_a_coefficient_of_the_base_is_not_held():
+    """What a base lacks may be in it, and is looked for beside it."""
+    found = find_terms(
+        stretches(flight(60.0, 25, gust=0.1, climb=1.0, run="pushed", drag=(0.4, 0.3, -0.25))), ALONE, POOL
+    )
+    assert found.base.values["d_z"] < -3.0 * found.base.std["d_z"]
+
+
 def test_of_a_differentiated_velocity_means_are_held_out_whose_noise_is_that_of_their_ends():
     """0.03 m/s at either end of half a second; single samples would have 2 m/s^2 of noise, in which no name is better or worse."""
     found = find_terms(stretches(flight(120.0, 26, gust=0.0, accelerometer=False, run="still")), ALONE, ())

@@ -45,6 +45,24 @@ def test_a_noise_whose_spectrum_falls_by_decades_is_described_to_its_least():
     assert autoregression([e[:3000], e[3000:]]).std == pytest.approx(1.0, rel=0.1)
 
 
+def test_of_several_stretches_only_samples_of_one_are_paired():
+    """Against Burg's recursion stretch by stretch, as a textbook has it."""
+    rng = np.random.default_rng(9)
+    stretches = [coloured(rng, n) + 5.0 * k for k, n in enumerate((400, 9, 60, 7, 900))]
+    forward, backward = [s[1:] for s in stretches], [s[:-1] for s in stretches]
+    of_order = [np.ones(1)]
+    for _ in range(12):
+        product = sum(f @ b for f, b in zip(forward, backward, strict=True))
+        reflection = -2.0 * product / sum(f @ f + b @ b for f, b in zip(forward, backward, strict=True))
+        longer = np.append(of_order[-1], 0.0)
+        of_order.append(longer + reflection * longer[::-1])
+        pairs = [(f + reflection * b, b + reflection * f) for f, b in zip(forward, backward, strict=True)]
+        forward, backward = [f[1:] for f, _ in pairs], [b[:-1] for _, b in pairs]
+    found = autoregression(stretches, most=12)
+    assert found.order > 1
+    assert found.coefficients == pytest.approx(of_order[found.order])
+
+
 def test_its_spectrum_holds_the_variance():
     e = coloured(np.random.default_rng(3), 50000)
     found = autoregression([e])

@@ -32,9 +32,10 @@ def flight(
     accelerometer=True,
     climb=0.5,
     quadratic=(0.0, 0.0, 0.0),
+    drag=DRAG,
 ):
     """Windows of free flight under a position loop that answers gusts; m, s. Euler attitude with a lag of 60 ms, gusts of 1 s.
-    quadratic: force over mass by the square of the airspeed along each axis, 1/m."""
+    quadratic, drag: force over mass by the square of the airspeed along each axis, 1/m, and by the airspeed, 1/s."""
     rng = np.random.default_rng(seed)
     n = int(seconds / DT)
     p, v, angles, w = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(3)
@@ -42,7 +43,7 @@ def flight(
     asked, goal, throttle = np.zeros(2), np.zeros(3), 9.81 / GAIN
     out = np.empty((n, 14))
     push = gust * np.sqrt(2 * DT) * rng.standard_normal((n, 3))
-    air, quadratic = np.array([*wind, 0.0]), np.array(quadratic)
+    air, quadratic, drag = np.array([*wind, 0.0]), np.array(quadratic), np.array(drag)
     for k in range(n):
         if k % 300 == 0:
             goal = rng.uniform(-4.0, 4.0, 3) * [1.0, 1.0, climb]
@@ -55,7 +56,7 @@ def flight(
         cr, sr, cp, sp = np.cos(angles[0]), np.sin(angles[0]), np.cos(angles[1]), np.sin(angles[1])
         rotation = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
         along = rotation.T @ (v - air)
-        force = np.array([offset * a_t, 0.0, a_t]) - (DRAG + quadratic * np.abs(along)) * along + rotation.T @ w
+        force = np.array([offset * a_t, 0.0, a_t]) - (drag + quadratic * np.abs(along)) * along + rotation.T @ w
         out[k] = [k * DT, *angles, *force, *v, *p, throttle, a_t]
         a_t += (GAIN * late.pop(0) - a_t) * (1.0 - np.exp(-SIGMA * DT))
         angles = angles + (asked - angles) * DT / 0.06
