@@ -180,12 +180,12 @@ def _final_fit(
     null = merged(a.null for a in answers)
     begun = None
     if asked.base:
-        start = {n: v for n, v in asked.base.values.items() if n in final.names}
+        start = {n: v for n, v in asked.base.values.items() if n in final.names} | null
         noise, nuisance = asked.base.noise, dict(asked.base.start.nuisance)
         for search in searches:
             assert search.now is not None
             values = search.now.at.values  # of every parameter: those of other blocks are the base's
-            start |= {n: values[n] for n in search.now.names} | null
+            start |= {n: values[n] for n in search.now.names}
             noise |= search.now.at.noise
             nuisance |= search.now.at.nuisance
         begun = Start(start, noise, nuisance)

@@ -20,13 +20,14 @@ _BY_FIRMWARE = {
     "Sub": _SUBMARINE,
     "Blimp": _AIRSHIP,
 }  # ArduPilot's, by name
-_FIRMWARE = re.compile(rf"(?:Ardu|APM:)?({'|'.join(_BY_FIRMWARE)})\b")
+FIRMWARE = re.compile(rf"(Copter|{'|'.join(_BY_FIRMWARE)})\b.*V\d")  # a version string of any of ArduPilot's
+_OTHER = re.compile(rf"(?:Ardu|APM:)?({'|'.join(_BY_FIRMWARE)})\b")
 _BY_PX4 = {2: _WING, 3: "a rover", 4: _AIRSHIP}  # VehicleStatus.msg, vehicle_type
 
 
 def refuse_by_firmware(path: Path, firmware: str, parameters: Mapping[str, float]) -> None:
     """RecordingError where ArduPilot's version string is of another vehicle's firmware. A quadplane (Q_ENABLE) hovers as a multirotor."""
-    named = _FIRMWARE.match(firmware)
+    named = _OTHER.match(firmware)
     if named and not parameters.get("Q_ENABLE"):
         _refuse(path, _BY_FIRMWARE[named[1]], firmware)
 

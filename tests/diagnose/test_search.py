@@ -247,7 +247,7 @@ def test_what_is_named_beside_a_term_that_goes_is_judged_anew(searched):
 @pytest.mark.parametrize("reason", ["inadmissible", "nothing"])
 def test_a_term_beside_which_one_that_explains_more_cannot_be_leaves_in_its_place(searched, reason):
     """A third pole of 185 nats bent a reference shaping of 92,000 until its feedforward was at its bound. Beside a rate limit of 330 nats
-    the three parameters of a shaping of 380 were known by nothing, and the rate limit was named."""
+    the three parameters of a shaping of 380 had intervals wider than their values, and the rate limit was named."""
     refused = {reason: "it is not known", "nats": 93.0}
     search = searched({"ab": 10.0}, {("ab", "a"): refused, ("ab", "b"): 12.0, "a": 93.0})
     assert search.named == {"a"}

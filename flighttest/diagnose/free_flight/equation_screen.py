@@ -102,17 +102,10 @@ def screen(flown: Sequence[Segment], base: FreeFlight, pool: Sequence[Term]) -> 
     return tuple(sorted(best.values(), key=lambda s: s.p_value))
 
 
-def _names(base: FreeFlight) -> tuple[list[str], tuple[str, ...]]:
-    """Parameters of an estimate without their flights, and those that have a value per flight."""
-    own = tuple(dict.fromkeys(n.split("@")[0] for n in base.names if "@" in n))
-    return [*(n for n in base.names if "@" not in n), *own], own
-
-
 def _linear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term], rows: int) -> Iterator[Screened]:
     """Score tests of terms with linear coefficients, which at their null values do not change each other: one Jacobian for a setting of
     all."""
     equations = Equations(base.model.with_terms(*terms), flown, base.part)
-    names, own_of_flights = _names(base)
     grids = {t.id: settings(t, flown) for t in terms}
     for k in range(max(len(g) for g in grids.values())):
         asked = [t for t in terms if k < len(grids[t.id])]
@@ -121,9 +114,9 @@ def _linear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term], r
         }
         values |= {p.name: null_value(p) for t in terms for p in t.amplitudes}
         values |= {n: v for t in terms for n, v in grids[t.id][k % len(grids[t.id])].items()}
-        wanted = [*names, *(p.name for t in asked for p in t.amplitudes)]
+        wanted = [*base.estimated, *(p.name for t in asked for p in t.amplitudes)]
         with np.errstate(all="ignore"):
-            streams, columns = equations.streams(values, wanted, own_of_flights)
+            streams, columns = equations.streams(values, wanted, base.per_flight)
         others = [columns.index(n) for n in base.names if n in columns]
         for t in asked:
             own = [columns.index(p.name) for p in t.amplitudes if p.name in columns]
@@ -138,16 +131,15 @@ def _nonlinear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term]
     A setting whose effect would have to be negative is left out."""
     if not terms:
         return
-    names, own_of_flights = _names(base)
     with np.errstate(all="ignore"):
-        plain, columns = Equations(base.model, flown, base.part).streams(base.values, names, own_of_flights)
+        plain, columns = Equations(base.model, flown, base.part).streams(base.values, base.estimated, base.per_flight)
     others = [columns.index(n) for n in base.names]
     for t in terms:
         equations = Equations(base.model.with_terms(t), flown, base.part)
         for setting in settings(t, flown):
             values = {**equations.model.start(), **base.values, **setting}
             with np.errstate(all="ignore"):
-                changed, _ = equations.streams(values, [], own_of_flights)
+                changed, _ = equations.streams(values, [], base.per_flight)
             if [s.residual.size for s in changed] != [s.residual.size for s in plain]:
                 continue  # not finite somewhere
             only = [

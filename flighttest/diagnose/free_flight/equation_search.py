@@ -184,10 +184,9 @@ class _Asked:
         return {"free": free, "per_flight": own, "priors": self.priors}
 
     def streams(self, found: FreeFlight) -> list[Stream]:
-        names = found.estimated
-        own = tuple(n for n in names if n not in found.names)
         with np.errstate(all="ignore"):
-            return Equations(found.model, self.flown, self.part).streams(found.values, names, own)[0]
+            equations = Equations(found.model, self.flown, self.part)
+            return equations.streams(found.values, found.estimated, found.per_flight)[0]
 
 
 def coefficients_of(found: FreeFlight, term: Term) -> list[int]:

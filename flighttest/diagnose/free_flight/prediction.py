@@ -83,10 +83,8 @@ def _left_out(
     flown: Sequence[Segment], one: FreeFlight, noise: Mapping[str, Autoregression]
 ) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
     """Channel to (errors as predicted without their group, their group, errors of the whole estimate); noise: of one-step predictions."""
-    names = one.estimated
-    own = tuple(n for n in names if n not in one.names)
     with np.errstate(all="ignore"):
-        streams, columns = Equations(one.model, flown, one.part).streams(one.values, names, own)
+        streams, columns = Equations(one.model, flown, one.part).streams(one.values, one.estimated, one.per_flight)
     place = [columns.index(n) for n in one.names]
     count, kind = groups_left_out(one)
     rows = block_rows(one.seconds, one.period_s)

@@ -280,7 +280,8 @@ class Search:
     def _leaves_instead(self, refused: Evidence, members: frozenset[str], fitted: Fitted) -> Evidence:
         """The term that leaves where the estimates of one are inadmissible, or may be nothing: the least of those that explain less and
         without which they are admissible and something, else that one. (Beside a third pole of 185 nats the feedforward of a reference
-        shaping of 92,000 ran to its bound; beside a rate limit of 330 nats the three of a shaping of 380 were known by nothing.)"""
+        shaping of 92,000 ran to its bound; beside a rate limit of 330 nats the three of a shaping of 380 had
+        intervals wider than their values.)"""
         rest = (self._evidence(t, fitted) for t in sorted(members - {refused.term}))
         for less in sorted((e for e in rest if e.nats < refused.nats), key=lambda e: e.nats):
             without = self.models.refined(less.without)

@@ -70,6 +70,11 @@ class FreeFlight:
         """Names of the estimated parameters, one with a value for each flight once."""
         return tuple(dict.fromkeys(n.split("@")[0] for n in self.names))
 
+    @property
+    def per_flight(self) -> tuple[str, ...]:
+        """Those of them with a value for each flight."""
+        return tuple(n for n in self.estimated if n not in self.names)
+
     def factor(self, level: float = 0.95) -> float:
         """Half an interval in standard errors (Student's t)."""
         return interval_factor(self.held.dof, level)

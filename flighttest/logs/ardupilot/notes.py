@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.logs.ardupilot.times import Stamped
+from flighttest.logs.other_vehicles import FIRMWARE
 from flighttest.mavlink import ClockEstimate, in_force, mode_name
 from flighttest.mavlink.marks import Text, markers_from_texts
 from flighttest.recording import Marker, Series
@@ -51,16 +52,13 @@ def parameter_changes(parm: Stamped | None) -> list[Marker]:
     return notes
 
 
-_FIRMWARE = re.compile(r"(Copter|Plane|Rover|Sub|Blimp)\b.*V\d")
-
-
 def firmware(tables: Mapping[str, Stamped]) -> str:
     """The firmware's version string, empty where the log does not hold it."""
     if "VER" in tables and "FWS" in tables["VER"][0]:
         return tables["VER"][0].text("FWS")[0]
     if "MSG" in tables and "Message" in tables["MSG"][0]:
         for text in tables["MSG"][0].text("Message"):
-            if _FIRMWARE.search(text):
+            if FIRMWARE.search(text):
                 return text
     return ""
 
