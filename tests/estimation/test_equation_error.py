@@ -133,7 +133,7 @@ def flown(missing: float, seed: int = 6, n: int = 4000) -> Stream:
 
 def test_second_order_functions_are_states_squares_and_products():
     state = np.random.default_rng(7).normal([1.0, -2.0], [1.0, 3.0], (50, 2))
-    found = second_order(state)
+    found = np.concatenate(second_order(state), axis=1)
     assert found.shape == (50, 5)
     assert found.std(axis=0) == pytest.approx(np.ones(5))
     assert abs(np.corrcoef(found[:, 3], ((state - state.mean(axis=0)) / state.std(axis=0)).prod(axis=1))[0, 1]) > 0.999
@@ -151,7 +151,7 @@ def test_what_equations_get_wrong_as_a_function_of_the_state_is_lack_of_fit():
     """A missing square that explains 10 % of the residual; noise of the same size does not recur with the state."""
     wrong = flown(0.05)
     ratio = lack_of_fit([wrong], noises([wrong]))["y"].ratio
-    more = second_order(wrong.state)[:, 1]
+    more = second_order(wrong.state)[1][:, 0]
     noise = noises([wrong])["y"]
     explained = np.corrcoef(noise.whitened(more), noise.whitened(wrong.residual))[0, 1] ** 2 * noise.whitened(more).size
     assert ratio == pytest.approx(explained, rel=0.1)
@@ -171,10 +171,28 @@ def test_only_what_functions_of_the_state_make_of_a_column_errs_with_them():
     other = np.random.default_rng(9).standard_normal(s.residual.size)
     beside = Stream("y", 0, s.residual, np.column_stack([s.columns, other]), s.state)
     noise = noises([beside])
-    columns = noise["y"].whitened(beside.columns)
-    share = np.diag(lack_of_fit([beside], noise)["y"].along) / np.sum(columns**2, axis=0)
+    columns, lack = noise["y"].whitened(beside.columns), lack_of_fit([beside], noise)["y"]
+    share = np.diag(lack.more) / (lack.ratio - 1.0) / np.sum(columns**2, axis=0)
     assert share[1] == pytest.approx(1.0, abs=0.01)
     assert share[2] < 0.01
+
+
+def test_linear_functions_of_the_state_err_by_their_own_lack_of_fit():
+    """A loop holds 5 % more than its reference, and nothing is wrong with its squares: one F of two states and their three products was a
+    fifth of that of the angle itself. Where products are wrong and linear functions are parameters, F is that of both."""
+    rng = np.random.default_rng(12)
+    state = np.column_stack([coloured(rng, 4000, (-0.98, 0.0)) for _ in range(2)])
+    state -= state.mean(axis=0)
+    along = state[:, 1:]  # of a parameter that is a linear function of the second
+    wrong = Stream("y", 0, 0.05 * state[:, 0] + coloured(rng, 4000), along, state)
+    noise = noises([wrong])
+    lack = lack_of_fit([wrong], noise)["y"]
+    own = float(np.diag(lack.more)[0] / np.sum(noise["y"].whitened(along) ** 2))
+    assert own == pytest.approx(4.0 * lack.ratio, rel=0.2)  # of four functions beside the parameter three are products
+    square = Stream("y", 0, 0.05 * state[:, 0] ** 2 + coloured(rng, 4000), state, state)
+    lack, white = lack_of_fit([square], noises([square]))["y"], noises([square])["y"].whitened(state)
+    assert lack.ratio > 5.0
+    assert np.diag(lack.more) == pytest.approx((lack.ratio - 1.0) * np.sum(white**2, axis=0), rel=0.01)
 
 
 def test_every_sample_is_whitened_by_what_is_known_before_it():
