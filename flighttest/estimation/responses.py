@@ -26,6 +26,7 @@ STEP_OF_POLE = {"translation": 1.0, "attitude": 0.25}  # step x pole (1/s), at m
 _BUCKETS = (32, 48, 64, 96, 128, 160, 208, 256, 320, 416, 512, 640, 832, 1024)
 NO_GROUND_M = 1e3  # height where none was recorded: no ground effect
 _ATTITUDE = frozenset({"roll_rad", "pitch_rad", "target_roll_rad", "target_pitch_rad"})
+_TURNING = frozenset(f"{axis}{unit}" for axis in "pqr" for unit in ("_rad_s", "_dot_rad_s2"))
 _ANGLES = frozenset({"roll_rad", "pitch_rad", "yaw_rad"})
 HORIZONTAL = frozenset({"f_x_m_s2", "f_y_m_s2", "v_x_m_s", "v_y_m_s", "a_x_m_s2", "a_y_m_s2"})
 # How far an initial state may lie from its measurement, and from zero where it is not measured.
@@ -138,14 +139,32 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
         if f"{axis}_ref_rad" in segment.u:
             return zero_order_hold(segment.u[f"{axis}_ref_rad"], t - attitude_delay_s)
         return exogenous(segment, f"{axis}_rad", nominal_voltage_v, attitude_delay_s)
-    if name.endswith("_dot_rad_s2"):
-        rate = filled(t, y.get(name.replace("_dot_rad_s2", "_rad_s")), 0.0)
-        from scipy.interpolate import CubicSpline  # a fifth of a second, which what only plans need not wait for
-
-        # A spline: differences of neighbours blur an angular acceleration that jumps, as after a step, by several percent.
-        return np.asarray(CubicSpline(t, rate)(t, 1)) if t.size > 1 else np.zeros_like(t)
+    if name in _TURNING:
+        return _turning(segment, name)
     values = filled(t, y.get(name), 0.0)
     return np.unwrap(values) if name in _ANGLES else values
+
+
+def _turning(segment: Segment, name: str) -> FloatArray:
+    """An angular velocity, rad/s, or acceleration, rad/s^2 (n,), at its time: a known filter of the gyroscope makes it late.
+
+    Left late, a rotation would have the accelerometer's filter beside the gyroscope's. An IMU 0.1 m above the centre, added to three parts
+    of a log with filters of 20 and 40 Hz, was found 0.095 to 0.101 m above, +- 0.003 to 0.011, and is 0.097 to 0.103, +- 0.001 to 0.006.
+    """
+    order = int(name.endswith("_dot_rad_s2"))
+    t, rate = segment.t_s, filled(segment.t_s, segment.y.get(name.replace("_dot_rad_s2", "_rad_s")), 0.0)
+    if t.size < 2:
+        return np.zeros_like(t) if order else rate
+    from scipy.interpolate import CubicSpline  # a fifth of a second, which what only plans need not wait for
+
+    # A spline: differences of neighbours blur an angular acceleration that jumps, as after a step, by several percent.
+    return np.asarray(CubicSpline(t, rate)(np.minimum(t + _lag_s(segment, "rates"), t[-1]), order))
+
+
+def _lag_s(segment: Segment, group: str) -> float:
+    """Of the known second-order low-pass filter of a channel group, s; 0 where none is known."""
+    cutoff = float(segment.context.filters.get(group, 0.0))
+    return math.sqrt(2.0) / (2.0 * math.pi * cutoff) if cutoff > 0 else 0.0
 
 
 def relative_thrust(segment: Segment) -> FloatArray:
@@ -163,9 +182,7 @@ def _voltage(segment: Segment, nominal_voltage_v: float) -> FloatArray:
     samples, force = segment.context.voltage_samples, y.get("f_z_m_s2")
     if samples is None or force is None or not np.isfinite(force).any():
         return chord
-    cutoff = float(segment.context.filters.get("specific_force", 0.0))
-    lag_s = math.sqrt(2.0) / (2.0 * math.pi * cutoff) if cutoff > 0 else 0.0
-    return between_samples(t, chord, samples, filled(t, force, 0.0), lag_s)
+    return between_samples(t, chord, samples, filled(t, force, 0.0), _lag_s(segment, "specific_force"))
 
 
 def merged_edges(segment: Segment, inputs: Sequence[str]) -> tuple[FloatArray, FloatArray]:

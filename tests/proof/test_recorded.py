@@ -93,6 +93,20 @@ def test_instruments_change_what_they_read_and_nothing_else():
     assert all(np.allclose(change[c][1], 0.0) for c in ("v_x_m_s", "throttle", "roll_rad", "f_y_m_s2"))
 
 
+@pytest.mark.parametrize(("filters", "late_s"), [({}, 0.0), ({"specific_force": 10.0, "rates": 40.0}, 0.0169)])
+def test_an_accelerometer_off_the_centre_shows_rotations_behind_its_own_filter(filters, late_s):
+    """f_y of an arm r_x ahead is r_x r': of a turn of 3 Hz, as late as sqrt(2) / (2 pi) (1 / 10 Hz - 1 / 40 Hz) behind the gyroscope's."""
+    flown, w, arm = hovering(), 2 * np.pi * 3.0, 0.1
+    t = flown.series["rates"].t_s
+    rates = Series(t, {**flown.series["rates"].columns, "r_rad_s": np.sin(w * t)})
+    flown = replace(
+        flown, series={**flown.series, "rates": rates}, provenance=Provenance("a test", "table", filters=filters)
+    )
+    times, f = added({"imu_lever_arm": {"arm_x": arm, "arm_y": 0.0, "arm_z": 0.0}}, flown, steps=(SPAN,))["f_y_m_s2"]
+    inside = (times > 2.0) & (times < 18.0)
+    assert f[inside] == pytest.approx(arm * w * np.cos(w * (times[inside] - late_s)), abs=0.03 * arm * w)
+
+
 def test_a_rate_limit_slows_a_recorded_tilt():
     flown = hovering()
     reference = dict(flown.series["reference"].columns)

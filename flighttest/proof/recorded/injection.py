@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import cos, exp, sin
+from math import cos, exp, pi, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,8 @@ from flighttest.sim.plants.slung import SlungLoad
 FloatArray = NDArray[np.float64]
 
 SMOOTH_S = 0.2  # window over which a force is differentiated from velocities, or thrust is read off an accelerometer
-TURN_S = 0.07  # window over which rates are differentiated: steps of attitude have accelerations of 10 Hz
+# Window over which rates are differentiated, by quartics: steps of attitude have accelerations of 10 Hz, of which parabolas lose 40 %.
+TURN_S = 0.07
 MOST_TILT_RAD = 0.3  # that it asks for beyond the recorded
 
 
@@ -121,11 +122,17 @@ class _Recorded:
         own = f"{axis}_shaped_rad"
         return self.get(own if self.has(own) else f"{axis}_ref_rad")
 
-    def smooth(self, x: FloatArray, derivative: int = 0, over_s: float = SMOOTH_S) -> FloatArray:
+    def smooth(self, x: FloatArray, derivative: int = 0, over_s: float = SMOOTH_S, order: int = 2) -> FloatArray:
         window = min(int(over_s / STEP_S) | 1, x.size - 1 + x.size % 2)
         if window < 5:
             return np.zeros_like(x) if derivative else x
-        return np.asarray(savgol_filter(x, window, 2, deriv=derivative, delta=STEP_S))
+        return np.asarray(savgol_filter(x, window, order, deriv=derivative, delta=STEP_S))
+
+    def filtered(self, x: FloatArray, group: str, of: str) -> FloatArray:
+        """What a channel group shows of x (n,), which another one measured, by the delays of their known second-order filters."""
+        cutoffs = (self._recording.provenance.filters.get(g) for g in (group, of))
+        late, early = (sqrt(2.0) / (2.0 * pi * hz) if hz else 0.0 for hz in cutoffs)
+        return np.asarray(np.interp(self.t_s - late + early, self.t_s, x))
 
 
 def _difference(
@@ -227,6 +234,7 @@ def _instruments(added: Mapping[str, FloatArray], effects: Effects, seen: _Recor
     if "imu_lever_arm" in effects:
         arm = np.array([effects["imu_lever_arm"][f"arm_{a}"] for a in "xyz"])
         rates = np.stack([seen.get(f"{a}_rad_s") + added[f"{a}_rad_s"] for a in "pqr"], axis=1)
-        turned = np.stack([seen.smooth(rates[:, k], 1, TURN_S) for k in range(3)], axis=1)
-        force = force + np.cross(turned, arm) + np.cross(rates, np.cross(rates, arm))
+        turned = np.stack([seen.smooth(rates[:, k], 1, TURN_S, order=4) for k in range(3)], axis=1)
+        extra = np.cross(turned, arm) + np.cross(rates, np.cross(rates, arm))
+        force = force + np.stack([seen.filtered(x, "specific_force", "rates") for x in extra.T], axis=1)
     return {f"f_{a}_m_s2": force[:, k] for k, a in enumerate("xyz")}
