@@ -12,6 +12,7 @@ from flighttest.diagnose.conclusion import sentence_of
 from flighttest.diagnose.free_flight import equation_search
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
+from flighttest.diagnose.free_flight.significance import may_be_nothing
 from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS
 from flighttest.estimation.responses import exogenous
@@ -79,6 +80,22 @@ def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monke
     found = find_terms(stretches(flight(60.0, 23, gust=0.1, offset=0.04, run="tilted")), ALONE, POOL)
     assert "attitude_offset" not in found.named
     assert found.refused["attitude_offset"][1] == "it cannot be"
+
+
+def test_what_may_be_nothing_by_its_own_interval_is_not_named(monkeypatch):
+    """A vortex ring of 0.30 +- 0.31 was surely present in a flight that has none. What flights differ by makes no value nothing."""
+    flown = stretches(flight(60.0, 23, gust=0.1, offset=0.04, run="tilted"))
+    found, offset = find_terms(flown, ALONE, POOL), catalogue()["attitude_offset"]
+    assert not may_be_nothing(found.final, offset)
+    off = max(abs(found.final.values[p.name]) / found.final.std[p.name] for p in offset.params)
+    for between, nothing in ((0.0, True), (1.0, False)):
+        wider = found.final.covariance * off**2
+        apart = between * (wider - found.final.covariance)
+        assert may_be_nothing(replace(found.final, covariance=wider, between=apart), offset) is nothing
+    monkeypatch.setattr(equation_search, "may_be_nothing", lambda *_: True)
+    found = find_terms(flown, ALONE, POOL)
+    assert "attitude_offset" not in found.named
+    assert "may be nothing" in found.refused["attitude_offset"][1]
 
 
 def test_a_coefficient_that_cannot_be_is_held_at_nothing_beside_those_that_can():

@@ -18,11 +18,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
+from flighttest.diagnose.free_flight.significance import MAY_BE_NOTHING, coefficients_of, may_be_nothing, wald
 from flighttest.diagnose.selection.admissible import EstimatedModel, not_allowed_beside_others, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
@@ -31,7 +31,7 @@ from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.errors import FitError
 from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.equation_error import Stream
-from flighttest.estimation.uncertainty.distributions import chi2_beyond, fisher_beyond
+from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.identify.free_flight import FreeFlight, estimate
 from flighttest.identify.free_flight.equations import Equations
 from flighttest.identify.free_flight.estimate import covariance_at, determined, start_of
@@ -52,14 +52,11 @@ from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
-FloatArray = NDArray[np.float64]
-
 PART_IN_WORDS = {"translation": "translation", "roll_pitch": "roll and pitch loops", "yaw": "yaw rate loop"}
 TRIED = 4  # of the most significant terms are estimated anew in each step
 MOST_NAMED = 5
 OFFSET_TERM = "attitude_offset"
 NOT_BESIDE = "no wind is seen beside what looks like one at a single heading"
-STAYS = 0.05  # p-value that a coefficient of a named term keeps when further terms join
 
 
 @dataclass(frozen=True)
@@ -176,8 +173,18 @@ class _Asked:
         terms = ([p for p in t.amplitudes if p.name in found.names] for t in self.pool if t.id in found.model.terms)
         return {p.name: null_value(p) for own in terms for p in not_allowed_beside_others(own, estimates)}
 
-    def covariance_at(self, found: FreeFlight, null: Mapping[str, float]) -> FloatArray:
-        return covariance_at(self.flown, found, null, **self._given(found.model, found.estimated))
+    def presence(self, found: FreeFlight, term: Term) -> float:
+        """p-value of a term's linear coefficients against their null values, by the robust covariance of a test (`covariance_at`), times
+        the number of settings that its nonlinear parameters were chosen from (Bonferroni: they mean nothing where the term is not, Davies
+        1977).
+
+        Whether a term is there in these flights is asked as of a single one, by what blocks of flight differ by. What flights differ in
+        beyond that makes its value uncertain and not its presence: three tunnel flights with a moment of 1.8, 2.5 and 2.7 rad/(s m), each
+        with p below 1e-11, had p 0.02 together, by two degrees of freedom.
+        """
+        null = {p.name: null_value(p) for p in term.amplitudes}
+        covariance = covariance_at(self.flown, found, null, **self._given(found.model, found.estimated))
+        return min(1.0, len(settings(term, self.flown)) * wald(found, term, covariance))
 
     def _given(self, model: Model, free: Sequence[str]) -> dict[str, Any]:
         own = WIND if WIND_TERM in model.terms else ()
@@ -187,34 +194,6 @@ class _Asked:
         with np.errstate(all="ignore"):
             equations = Equations(found.model, self.flown, self.part)
             return equations.streams(found.values, found.estimated, found.per_flight)[0]
-
-
-def coefficients_of(found: FreeFlight, term: Term) -> list[int]:
-    """Positions of a term's linear coefficients, of its nonlinear parameters where it has none, in an estimate."""
-    own = {p.name for p in (term.amplitudes or term.params)}
-    return [i for i, n in enumerate(found.names) if n.split("@")[0] in own]
-
-
-def wald(found: FreeFlight, term: Term, asked: _Asked) -> float:
-    """p-value of a term's linear coefficients against their null values, by the robust covariance of a test (`covariance_at`), times the
-    number of settings that its nonlinear parameters were chosen from (Bonferroni: they mean nothing where the term is not, Davies 1977);
-    1 where it has no linear coefficients.
-
-    Whether a term is there in these flights is asked as of a single one, by what blocks of flight differ by. What flights differ in beyond
-    that makes its value uncertain and not its presence: three tunnel flights with a moment of 1.8, 2.5 and 2.7 rad/(s m), each with p below
-    1e-11, had p 0.02 together, by two degrees of freedom.
-    """
-    if not term.amplitudes:
-        return 1.0
-    at = coefficients_of(found, term)
-    null = {p.name: null_value(p) for p in term.amplitudes}
-    off = np.array([found.values[found.names[i]] - null[found.names[i].split("@")[0]] for i in at])
-    covariance = asked.covariance_at(found, null)[np.ix_(at, at)]
-    if not at or not np.isfinite(covariance).all():
-        return 1.0
-    dof = float(max(found.blocks - len(found.names), 2))
-    statistic = float(off @ np.linalg.pinv(covariance) @ off) / len(at)
-    return min(1.0, len(settings(term, asked.flown)) * fisher_beyond(statistic, len(at), dof))
 
 
 def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str, float]:
@@ -230,9 +209,10 @@ def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str,
 
 
 def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, asked: _Asked) -> float:
-    """p-value of a term: of its linear coefficients (`wald`); where it has none, of the quasi-likelihood ratio times its settings."""
+    """p-value of a term: of its linear coefficients (`_Asked.presence`); where it has none, of the quasi-likelihood ratio times its
+    settings."""
     if term.amplitudes:
-        return wald(richer, term, asked)
+        return asked.presence(richer, term)
     ratio = 2.0 * max(richer.log_likelihood - poorer.log_likelihood, 0.0) / richer.inflation
     return min(1.0, len(settings(term, asked.flown)) * chi2_beyond(ratio, len(term.params)))
 
@@ -278,7 +258,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term])
     found.final = tried
     found.named[WIND_TERM] = NamedByEquations(WIND_TERM, nats, p_value, effect_sizes(asked.streams(calm), streams))
     for one in beside:
-        p = wald(tried, known[one], asked)
+        p = asked.presence(tried, known[one])
         if p >= level_of(len(known)):
             continue
         smaller = asked.estimate(tried.model.without_terms(one), _shared(tried.values))
@@ -373,6 +353,8 @@ def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
         channel, value = max(trial.size.items(), key=lambda kv: kv[1])
         return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
     found = trial.larger
+    if may_be_nothing(found, trial.term):
+        return "by the intervals of its coefficients it may be nothing"
     estimates = EstimatedModel(found.names, found.values, lambda: found.std, asked.flown)
     least = math.sqrt(2.0 * log_odds_asked(candidates))
     held = held_out_table(asked.flown, trial.smaller, found)
@@ -388,10 +370,14 @@ def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             gone = []
         else:
-            gone = [name] if known[name].amplitudes and wald(found.final, known[name], asked) > STAYS else []
+            gone = [name] if _may_have_left(found.final, known[name], asked) else []
         if not gone:
             continue
         smaller = found.final.model.without_terms(*gone)
         found.final = asked.estimate(smaller, _shared(found.final.values))
         del found.named[name]
         found.refused[name] = (0.0, "not needed beside the terms that joined later")
+
+
+def _may_have_left(found: FreeFlight, term: Term, asked: _Asked) -> bool:
+    return bool(term.amplitudes) and (asked.presence(found, term) > MAY_BE_NOTHING or may_be_nothing(found, term))
