@@ -91,11 +91,12 @@ def test_what_may_be_nothing_by_its_own_interval_is_not_named(monkeypatch):
     for between, nothing in ((0.0, True), (1.0, False)):
         wider = found.final.covariance * off**2
         apart = between * (wider - found.final.covariance)
-        assert may_be_nothing(replace(found.final, covariance=wider, between=apart), offset) is nothing
-    monkeypatch.setattr(equation_search, "may_be_nothing", lambda *_: True)
+        why = may_be_nothing(replace(found.final, covariance=wider, between=apart), offset)
+        assert ("which may be nothing" in why and "offset_pitch is 0.036 +- 0.07 rad" in why) is nothing
+    monkeypatch.setattr(equation_search, "may_be_nothing", lambda *_: "it may be nothing")
     found = find_terms(flown, ALONE, POOL)
     assert "attitude_offset" not in found.named
-    assert "may be nothing" in found.refused["attitude_offset"][1]
+    assert found.refused["attitude_offset"][1] == "it may be nothing"
 
 
 def test_a_coefficient_that_cannot_be_is_held_at_nothing_beside_those_that_can():

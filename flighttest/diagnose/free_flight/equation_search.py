@@ -353,8 +353,8 @@ def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
         channel, value = max(trial.size.items(), key=lambda kv: kv[1])
         return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
     found = trial.larger
-    if may_be_nothing(found, trial.term):
-        return "by the intervals of its coefficients it may be nothing"
+    if nothing := may_be_nothing(found, trial.term):
+        return nothing
     estimates = EstimatedModel(found.names, found.values, lambda: found.std, asked.flown)
     least = math.sqrt(2.0 * log_odds_asked(candidates))
     held = held_out_table(asked.flown, trial.smaller, found)
@@ -370,7 +370,7 @@ def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             gone = []
         else:
-            gone = [name] if _may_have_left(found.final, known[name], asked) else []
+            gone = [name] if _not_there(found.final, known[name], asked) else []
         if not gone:
             continue
         smaller = found.final.model.without_terms(*gone)
@@ -379,5 +379,6 @@ def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
         found.refused[name] = (0.0, "not needed beside the terms that joined later")
 
 
-def _may_have_left(found: FreeFlight, term: Term, asked: _Asked) -> bool:
-    return bool(term.amplitudes) and (asked.presence(found, term) > MAY_BE_NOTHING or may_be_nothing(found, term))
+def _not_there(found: FreeFlight, term: Term, asked: _Asked) -> bool:
+    """Whether a term with linear coefficients is significant no longer, or its value no longer known."""
+    return bool(term.amplitudes) and (asked.presence(found, term) > MAY_BE_NOTHING or bool(may_be_nothing(found, term)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.diagnose.selection.admissible import unit_suffix
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.free_flight import FreeFlight
@@ -36,11 +37,19 @@ def wald(found: FreeFlight, term: Term, covariance: FloatArray) -> float:
     return fisher_beyond(float(off @ np.linalg.pinv(own) @ off) / len(at), len(at), dof)
 
 
-def may_be_nothing(found: FreeFlight, term: Term) -> bool:
-    """Whether the printed intervals of a term's linear coefficients hold their null values, together.
+def may_be_nothing(found: FreeFlight, term: Term) -> str:
+    """That the printed intervals of a term's linear coefficients hold their null values, together, in words; empty where they do not.
 
     `covariance_at` says whether the term is present, this whether its value is known at all: third poles with a share of 1.0 +- 2.2 and
     +- 6.2 and a vortex ring of 0.30 +- 0.31 were surely present in three flights of a tunnel that have neither. What flights differ by
     makes a value uncertain and not its presence.
     """
-    return bool(term.amplitudes) and wald(found, term, found.covariance - found.between) > MAY_BE_NOTHING
+    if not term.amplitudes or (p_value := wald(found, term, found.covariance - found.between)) <= MAY_BE_NOTHING:
+        return ""
+    half = found.factor()
+    words = (
+        f"{p.name} is {found.values[p.name]:.2g} +- {half * found.std[p.name]:.1g}{unit_suffix(p)}"
+        for p in term.amplitudes
+        if p.name in found.names
+    )
+    return f"{', '.join(words)}, which may be nothing (p {p_value:.2g}, asked {MAY_BE_NOTHING:g})"
