@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,7 @@ class OracleResponses:
         self.kinds = [s.kind for s in segments]
         self._segments, self._since = segments, since
         self._sampled: dict[str, FloatArray] = {}
+        self._held: dict[str, tuple[float, FloatArray]] = {}  # most steps of a fit leave the delay as it is
 
     def recorded(self, channel: str) -> NDArray[np.bool_]:
         """(m,) whether a channel was recorded in each."""
@@ -66,6 +68,13 @@ class OracleResponses:
         if channel not in self._sampled:
             self._sampled[channel] = self._on_grid(channel, unrecorded)
         return self._sampled[channel]
+
+    @cached_property
+    def turn(self) -> FloatArray:
+        """(m, n, 3, 3) body to world; level where half an attitude, which is none, was recorded."""
+        level = ~(self.recorded("roll_rad") & self.recorded("pitch_rad"))[:, None]
+        roll, pitch = (np.where(level, 0.0, self.y(f"{axis}_rad")) for axis in ("roll", "pitch"))
+        return body_to_world(roll, pitch, self.y("yaw_rad"))
 
     def _on_grid(self, channel: str, unrecorded: float) -> FloatArray:
         rows = []
@@ -80,6 +89,12 @@ class OracleResponses:
     def held(self, channel: str, delay_s: float, own: str = "") -> FloatArray:
         """(m, parts) mean of a delayed input over every part. What is held has an exact integral, smooth in the delay.
         own: a channel of the autopilot that takes the input's place where it was recorded."""
+        key = own or channel
+        if key not in self._held or self._held[key][0] != delay_s:
+            self._held[key] = delay_s, self._held_anew(channel, delay_s, own)
+        return self._held[key][1]
+
+    def _held_anew(self, channel: str, delay_s: float, own: str) -> FloatArray:
         rows = []
         for s, at in zip(self._segments, self.t_s, strict=True):
             edges, value = s.u[channel]
@@ -94,11 +109,11 @@ class OracleResponses:
         return np.array(rows)
 
 
-def _answer(numerator: Sequence[float], denominator: Sequence[float], held: FloatArray) -> FloatArray:
-    """(..., n) of a linear filter at rest to inputs (..., parts) held over parts."""
+def _answer(numerator: Sequence[float], denominator: Sequence[float], *held: FloatArray) -> list[FloatArray]:
+    """(..., n) of a linear filter at rest to each of some inputs (..., parts) held over parts."""
     b, a, _ = cont2discrete((numerator, denominator), STEP_S / PARTS)
-    after = np.concatenate([held, held[..., -1:]], axis=-1)
-    return np.asarray(lfilter(np.ravel(b), a, after)[..., ::PARTS])
+    after = (np.concatenate([one, one[..., -1:]], axis=-1) for one in held)
+    return [np.asarray(lfilter(np.ravel(b), a, one)[..., ::PARTS]) for one in after]
 
 
 class OracleBlock(ABC):
@@ -143,8 +158,9 @@ class RollPitchLoops(OracleBlock):
             omega, zeta = theta[2 * k], theta[2 * k + 1]
             poles = (1.0, 2.0 * zeta * omega, omega**2)
             asked = r.held(f"{axis}_ref_rad", theta[4], "" if self.by_reference else f"{axis}_shaped_rad")
-            residual[..., k] = r.y(f"{axis}_rad") - _answer((omega**2,), poles, asked)
-            disturbed[..., k, k] = step = _answer((omega**2,), poles, np.ones(PARTS * (n - 1)))
+            answer, step = _answer((omega**2,), poles, asked, np.ones(PARTS * (n - 1)))
+            residual[..., k] = r.y(f"{axis}_rad") - answer
+            disturbed[..., k, k] = step
             # From an angle of one: what a step asks back; from a rate of one: the answer to a push.
             free[..., k, 2 * k] = 1.0 - step
             free[..., k, 2 * k + 1] = np.gradient(step, STEP_S)
@@ -163,7 +179,7 @@ class YawLoop(OracleBlock):
 
     def of(self, r: OracleResponses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As `OracleBlock.of`."""
-        answer = _answer((theta[0],), (1.0, theta[0]), r.held("yaw_rate_ref_rad_s", theta[1]))
+        (answer,) = _answer((theta[0],), (1.0, theta[0]), r.held("yaw_rate_ref_rad_s", theta[1]))
         decay = np.exp(-theta[0] * (r.t_s - r.t_s[:, :1]))[..., None, None]
         return (r.y("r_rad_s") - answer)[..., None], decay, 1.0 - decay
 
@@ -190,13 +206,12 @@ class Translation(OracleBlock):
         m, n = r.t_s.shape
         ratio = r.y("voltage_v", self.nominal_voltage_v) / self.nominal_voltage_v
         voltage = np.repeat(ratio**alpha, PARTS, axis=1)[:, : PARTS * (n - 1)]
-        level = ~(r.recorded("roll_rad") & r.recorded("pitch_rad"))[:, None]  # half an attitude is none
-        roll, pitch = (np.where(level, 0.0, r.y(f"{axis}_rad")) for axis in ("roll", "pitch"))
-        turn = body_to_world(roll, pitch, r.y("yaw_rad"))
+        turn = r.turn
         back = turn.transpose(0, 1, 3, 2)
         v = np.stack([r.y(f"v_{axis}_m_s") for axis in "xyz"], axis=2)
         force = -np.asarray(drag) * np.matmul(back, v[..., None])[..., 0]
-        force[..., 2] += _answer((sigma,), (1.0, sigma), gain * voltage * r.held("throttle", delay))
+        (thrust,) = _answer((sigma,), (1.0, sigma), gain * voltage * r.held("throttle", delay))
+        force[..., 2] += thrust
         residual, free, disturbed = np.zeros((m, n, 6)), np.zeros((m, n, 6, 4)), np.zeros((m, n, 6, 3))
         residual[..., :3] = np.stack([r.y(f"f_{axis}_m_s2") for axis in "xyz"], axis=2) - force
         residual[..., 3:] = v - _integral(np.matmul(turn, force[..., None])[..., 0] - (0.0, 0.0, G_M_S2))
@@ -223,4 +238,4 @@ def body_to_world(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> Float
         (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
         (-sp, cp * sr, cp * cr),
     )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))

@@ -162,7 +162,7 @@ def _difference(
         load_trim[2]
     )  # upward, of the controller, on the average of its own time: what a script's steps start from
     drag, w = np.array(vehicle.drag_1_s), vehicle.bandwidth_1_s
-    tilts = tilted and seen.has("roll_ref_rad", "pitch_ref_rad")
+    tilts, pulls = tilted and seen.has("roll_ref_rad", "pitch_ref_rad"), seen.has("throttle")
     v, p = np.zeros(3), np.zeros(3)
     rows = np.zeros((seen.t_s.size, len(_ADDED)))
     for k in range(seen.t_s.size):
@@ -172,7 +172,7 @@ def _difference(
         else:
             against = np.array([0.0, 0.0, trim])
         roll_ref, pitch_ref = _tilt_for(against, float(rpy[k, 2])) if tilts else (0.0, 0.0)
-        throttle = float(against[2]) / (vehicle.gain_m_s2 * float(voltage[k])) if seen.has("throttle") else 0.0
+        throttle = float(against[2]) / (vehicle.gain_m_s2 * float(voltage[k])) if pulls else 0.0
         throttle = min(max(throttle, -float(recorded[k])), max(1.0 - float(recorded[k]), 0.0))  # from none to all of it
         more = thrust.advance(k, throttle)
         angles, rates = loops.advance(k, roll_ref, pitch_ref)
