@@ -12,7 +12,7 @@ from flighttest.diagnose.conclusion import sentence_of
 from flighttest.diagnose.free_flight import equation_search
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
-from flighttest.diagnose.free_flight.significance import may_be_nothing
+from flighttest.diagnose.free_flight.significance import interval_holds_nothing
 from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS
 from flighttest.estimation.responses import exogenous
@@ -86,14 +86,14 @@ def test_what_may_be_nothing_by_its_own_interval_is_not_named(monkeypatch):
     """A vortex ring of 0.30 +- 0.31 was surely present in a flight that has none. What flights differ by makes no value nothing."""
     flown = stretches(flight(60.0, 23, gust=0.1, offset=0.04, run="tilted"))
     found, offset = find_terms(flown, ALONE, POOL), catalogue()["attitude_offset"]
-    assert not may_be_nothing(found.final, offset)
+    assert not interval_holds_nothing(found.final, offset)
     off = max(abs(found.final.values[p.name]) / found.final.std[p.name] for p in offset.params)
     for between, nothing in ((0.0, True), (1.0, False)):
         wider = found.final.covariance * off**2
         apart = between * (wider - found.final.covariance)
-        why = may_be_nothing(replace(found.final, covariance=wider, between=apart), offset)
+        why = interval_holds_nothing(replace(found.final, covariance=wider, between=apart), offset)
         assert ("which may be nothing" in why and "offset_pitch is 0.036 +- 0.07 rad" in why) is nothing
-    monkeypatch.setattr(equation_search, "may_be_nothing", lambda *_: "it may be nothing")
+    monkeypatch.setattr(equation_search, "interval_holds_nothing", lambda *_: "it may be nothing")
     found = find_terms(flown, ALONE, POOL)
     assert "attitude_offset" not in found.named
     assert found.refused["attitude_offset"][1] == "it may be nothing"

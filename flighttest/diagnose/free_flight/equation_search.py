@@ -22,7 +22,7 @@ import numpy as np
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
-from flighttest.diagnose.free_flight.significance import MAY_BE_NOTHING, coefficients_of, may_be_nothing, wald
+from flighttest.diagnose.free_flight.significance import MAY_BE_NOTHING, coefficients_of, interval_holds_nothing, wald
 from flighttest.diagnose.selection.admissible import EstimatedModel, not_allowed_beside_others, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
@@ -353,7 +353,7 @@ def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
         channel, value = max(trial.size.items(), key=lambda kv: kv[1])
         return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
     found = trial.larger
-    if nothing := may_be_nothing(found, trial.term):
+    if nothing := interval_holds_nothing(found, trial.term):
         return nothing
     estimates = EstimatedModel(found.names, found.values, lambda: found.std, asked.flown)
     least = math.sqrt(2.0 * log_odds_asked(candidates))
@@ -381,4 +381,6 @@ def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
 
 def _not_there(found: FreeFlight, term: Term, asked: _Asked) -> bool:
     """Whether a term with linear coefficients is significant no longer, or its value no longer known."""
-    return bool(term.amplitudes) and (asked.presence(found, term) > MAY_BE_NOTHING or bool(may_be_nothing(found, term)))
+    return bool(term.amplitudes) and (
+        asked.presence(found, term) > MAY_BE_NOTHING or bool(interval_holds_nothing(found, term))
+    )

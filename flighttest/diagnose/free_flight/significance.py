@@ -37,7 +37,7 @@ def wald(found: FreeFlight, term: Term, covariance: FloatArray) -> float:
     return fisher_beyond(float(off @ np.linalg.pinv(own) @ off) / len(at), len(at), dof)
 
 
-def may_be_nothing(found: FreeFlight, term: Term) -> str:
+def interval_holds_nothing(found: FreeFlight, term: Term) -> str:
     """That the printed intervals of a term's linear coefficients hold their null values, together, in words; empty where they do not.
 
     `covariance_at` says whether the term is present, this whether its value is known at all: third poles with a share of 1.0 +- 2.2 and
