@@ -88,11 +88,12 @@ def test_what_may_be_nothing_by_its_own_interval_is_not_named(monkeypatch):
     found, offset = find_terms(flown, ALONE, POOL), catalogue()["attitude_offset"]
     assert not interval_holds_nothing(found.final, offset)
     off = max(abs(found.final.values[p.name]) / found.final.std[p.name] for p in offset.params)
-    for between, nothing in ((0.0, True), (1.0, False)):
-        wider = found.final.covariance * off**2
-        apart = between * (wider - found.final.covariance)
-        why = interval_holds_nothing(replace(found.final, covariance=wider, between=apart), offset)
-        assert ("which may be nothing" in why and "offset_pitch is 0.036 +- 0.07 rad" in why) is nothing
+    # One coefficient of two, 2.2 standard errors from nothing, has p 0.1; 2.8 have 0.03.
+    for errors, share, nothing in ((2.2, 0.0, True), (2.8, 0.0, False), (2.2, 1.0, False)):
+        wider = found.final.covariance * (off / errors) ** 2
+        between = share * (wider - found.final.covariance)
+        why = interval_holds_nothing(replace(found.final, covariance=wider, between=between), offset)
+        assert ("offset_pitch is 0.036 +- 0.03 rad, which may be nothing" in why) is nothing
     monkeypatch.setattr(equation_search, "interval_holds_nothing", lambda *_: "it may be nothing")
     found = find_terms(flown, ALONE, POOL)
     assert "attitude_offset" not in found.named
