@@ -276,10 +276,10 @@ def _standardised(values: FloatArray) -> FloatArray:
 @dataclass(frozen=True)
 class LackOfFit:
     """ratio: F, mean square of the innovations that second-order functions of the state explain beside the parameters, over that of the
-    innovations, 1; at least 1. more: (q, q) covariance of the parameters' scores that comes of it, beside their information."""
+    innovations, 1; at least 1. excess (q, q): variance of the parameters' scores beyond their information."""
 
     ratio: float
-    more: FloatArray
+    excess: FloatArray
 
 
 def lack_of_fit(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> dict[str, LackOfFit]:
@@ -328,8 +328,8 @@ class _Explained:
 def _lack(orders: Sequence[_Explained]) -> LackOfFit:
     both = max(sum(o.square for o in orders) / max(sum(o.count for o in orders), 1), 1.0)
     # An order may have few functions beside the parameters, or none: what both have is the least.
-    more = sum((max(o.square / max(o.count, 1), both) - 1.0) * o.along for o in orders)
-    return LackOfFit(both, np.asarray(more))
+    excess = sum((max(o.square / max(o.count, 1), both) - 1.0) * o.along for o in orders)
+    return LackOfFit(both, np.asarray(excess))
 
 
 def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -172,7 +172,7 @@ def test_only_what_functions_of_the_state_make_of_a_column_errs_with_them():
     beside = Stream("y", 0, s.residual, np.column_stack([s.columns, other]), s.state)
     noise = noises([beside])
     columns, lack = noise["y"].whitened(beside.columns), lack_of_fit([beside], noise)["y"]
-    share = np.diag(lack.more) / (lack.ratio - 1.0) / np.sum(columns**2, axis=0)
+    share = np.diag(lack.excess) / (lack.ratio - 1.0) / np.sum(columns**2, axis=0)
     assert share[1] == pytest.approx(1.0, abs=0.01)
     assert share[2] < 0.01
 
@@ -187,12 +187,12 @@ def test_linear_functions_of_the_state_err_by_their_own_lack_of_fit():
     wrong = Stream("y", 0, 0.05 * state[:, 0] + coloured(rng, 4000), along, state)
     noise = noises([wrong])
     lack = lack_of_fit([wrong], noise)["y"]
-    own = float(np.diag(lack.more)[0] / np.sum(noise["y"].whitened(along) ** 2))
+    own = float(np.diag(lack.excess)[0] / np.sum(noise["y"].whitened(along) ** 2))
     assert own == pytest.approx(4.0 * lack.ratio, rel=0.2)  # of four functions beside the parameter three are products
     square = Stream("y", 0, 0.05 * state[:, 0] ** 2 + coloured(rng, 4000), state, state)
     lack, white = lack_of_fit([square], noises([square]))["y"], noises([square])["y"].whitened(state)
     assert lack.ratio > 5.0
-    assert np.diag(lack.more) == pytest.approx((lack.ratio - 1.0) * np.sum(white**2, axis=0), rel=0.01)
+    assert np.diag(lack.excess) == pytest.approx((lack.ratio - 1.0) * np.sum(white**2, axis=0), rel=0.01)
 
 
 def test_every_sample_is_whitened_by_what_is_known_before_it():

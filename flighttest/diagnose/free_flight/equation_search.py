@@ -22,7 +22,7 @@ import numpy as np
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
-from flighttest.diagnose.free_flight.significance import MAY_BE_NOTHING, coefficients_of, interval_holds_nothing, wald
+from flighttest.diagnose.free_flight.significance import EDGE_OF_INTERVAL, coefficients_of, null_inside_interval, wald
 from flighttest.diagnose.selection.admissible import EstimatedModel, not_allowed_beside_others, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
@@ -353,8 +353,8 @@ def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
         channel, value = max(trial.size.items(), key=lambda kv: kv[1])
         return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
     found = trial.larger
-    if nothing := interval_holds_nothing(found, trial.term):
-        return nothing
+    if why := null_inside_interval(found, trial.term):
+        return why
     estimates = EstimatedModel(found.names, found.values, lambda: found.std, asked.flown)
     least = math.sqrt(2.0 * log_odds_asked(candidates))
     held = held_out_table(asked.flown, trial.smaller, found)
@@ -370,7 +370,7 @@ def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             gone = []
         else:
-            gone = [name] if _not_there(found.final, known[name], asked) else []
+            gone = [name] if _no_longer_needed(found.final, known[name], asked) else []
         if not gone:
             continue
         smaller = found.final.model.without_terms(*gone)
@@ -379,8 +379,8 @@ def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
         found.refused[name] = (0.0, "not needed beside the terms that joined later")
 
 
-def _not_there(found: FreeFlight, term: Term, asked: _Asked) -> bool:
+def _no_longer_needed(found: FreeFlight, term: Term, asked: _Asked) -> bool:
     """Whether a term with linear coefficients is significant no longer, or its value no longer known."""
     return bool(term.amplitudes) and (
-        asked.presence(found, term) > MAY_BE_NOTHING or bool(interval_holds_nothing(found, term))
+        asked.presence(found, term) > EDGE_OF_INTERVAL or bool(null_inside_interval(found, term))
     )

@@ -1,4 +1,4 @@
-"""Whether the linear coefficients of a term, as estimated from free flight, may be nothing."""
+"""Wald tests of the linear coefficients of a term, as estimated from free flight, against their null values."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from flighttest.physics.core import Term
 
 FloatArray = NDArray[np.float64]
 
-# p-value at which the coefficients of a term may be nothing by the intervals that are printed, of 95 %. A term is not named where they may,
-# and does not stay where they come to when further terms join.
-MAY_BE_NOTHING = 0.05
+# p-value of a null value at the edge of the intervals that are printed, of 95 %. Inside them a term is not named, and no longer named when
+# further terms join.
+EDGE_OF_INTERVAL = 0.05
 
 
 def coefficients_of(found: FreeFlight, term: Term) -> list[int]:
@@ -37,14 +37,14 @@ def wald(found: FreeFlight, term: Term, covariance: FloatArray) -> float:
     return fisher_beyond(float(off @ np.linalg.pinv(own) @ off) / len(at), len(at), dof)
 
 
-def interval_holds_nothing(found: FreeFlight, term: Term) -> str:
-    """That the printed intervals of a term's linear coefficients hold their null values, together, in words; empty where they do not.
+def null_inside_interval(found: FreeFlight, term: Term) -> str:
+    """That the null values of a term's linear coefficients are inside the printed intervals, all together, in words; empty where not.
 
     `covariance_at` says whether the term is present, this whether its value is known at all: third poles with a share of 1.0 +- 2.2 and
     +- 6.2 and a vortex ring of 0.30 +- 0.31 were surely present in three flights of a tunnel that have neither. What flights differ by
     makes a value uncertain and not its presence.
     """
-    if not term.amplitudes or (p_value := wald(found, term, found.covariance - found.between)) <= MAY_BE_NOTHING:
+    if not term.amplitudes or (p_value := wald(found, term, found.covariance - found.between)) <= EDGE_OF_INTERVAL:
         return ""
     half = found.factor()
     words = (
@@ -52,4 +52,4 @@ def interval_holds_nothing(found: FreeFlight, term: Term) -> str:
         for p in term.amplitudes
         if p.name in found.names
     )
-    return f"{', '.join(words)}, which may be nothing (p {p_value:.2g}, asked {MAY_BE_NOTHING:g})"
+    return f"{', '.join(words)}, which may be nothing (p {p_value:.2g}, asked {EDGE_OF_INTERVAL:g})"

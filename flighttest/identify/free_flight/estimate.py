@@ -364,7 +364,7 @@ class _PredictionErrors:
         if self.asked.part == "translation":  # velocity and throttle drive all of it
             wrong = sum((lacks[c].ratio - 1.0) * _gram(rows.columns[rows.channel == c]) for c in lacks)
         else:  # a moment of the air is driven by a velocity that is no state of the loops
-            wrong = sum(lack.more for lack in lacks.values())
+            wrong = sum(lack.excess for lack in lacks.values())
         known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so in the sandwich
         robust = made.robust + known @ wrong @ known
         drift = np.diag([self.asked.model.param[c.split("@")[0]].drift ** 2 for c in self.columns])

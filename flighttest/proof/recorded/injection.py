@@ -128,7 +128,7 @@ class _Recorded:
             return np.zeros_like(x) if derivative else x
         return np.asarray(savgol_filter(x, window, order, deriv=derivative, delta=STEP_S))
 
-    def filtered(self, x: FloatArray, group: str, of: str) -> FloatArray:
+    def behind_filters(self, x: FloatArray, group: str, of: str) -> FloatArray:
         """What a channel group shows of x (n,), which another one measured, by the delays of their known second-order filters."""
         cutoffs = (self._recording.provenance.filters.get(g) for g in (group, of))
         late, early = (sqrt(2.0) / (2.0 * pi * hz) if hz else 0.0 for hz in cutoffs)
@@ -162,7 +162,7 @@ def _difference(
         load_trim[2]
     )  # upward, of the controller, on the average of its own time: what a script's steps start from
     drag, w = np.array(vehicle.drag_1_s), vehicle.bandwidth_1_s
-    tilts, pulls = tilted and seen.has("roll_ref_rad", "pitch_ref_rad"), seen.has("throttle")
+    tilts, has_throttle = tilted and seen.has("roll_ref_rad", "pitch_ref_rad"), seen.has("throttle")
     v, p = np.zeros(3), np.zeros(3)
     rows = np.zeros((seen.t_s.size, len(_ADDED)))
     for k in range(seen.t_s.size):
@@ -172,7 +172,7 @@ def _difference(
         else:
             against = np.array([0.0, 0.0, trim])
         roll_ref, pitch_ref = _tilt_for(against, float(rpy[k, 2])) if tilts else (0.0, 0.0)
-        throttle = float(against[2]) / (vehicle.gain_m_s2 * float(voltage[k])) if pulls else 0.0
+        throttle = float(against[2]) / (vehicle.gain_m_s2 * float(voltage[k])) if has_throttle else 0.0
         throttle = min(max(throttle, -float(recorded[k])), max(1.0 - float(recorded[k]), 0.0))  # from none to all of it
         more = thrust.advance(k, throttle)
         angles, rates = loops.advance(k, roll_ref, pitch_ref)
@@ -236,5 +236,5 @@ def _instruments(added: Mapping[str, FloatArray], effects: Effects, seen: _Recor
         rates = np.stack([seen.get(f"{a}_rad_s") + added[f"{a}_rad_s"] for a in "pqr"], axis=1)
         turned = np.stack([seen.smooth(rates[:, k], 1, TURN_S, order=4) for k in range(3)], axis=1)
         extra = np.cross(turned, arm) + np.cross(rates, np.cross(rates, arm))
-        force = force + np.stack([seen.filtered(x, "specific_force", "rates") for x in extra.T], axis=1)
+        force = force + np.stack([seen.behind_filters(x, "specific_force", "rates") for x in extra.T], axis=1)
     return {f"f_{a}_m_s2": force[:, k] for k, a in enumerate("xyz")}
