@@ -12,9 +12,10 @@ from flighttest.frames import rotation_from_euler
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.identify.free_flight.chunks import Chunks
 from flighttest.identify.free_flight.equations import Equations
-from flighttest.identify.free_flight.estimate import mixture
+from flighttest.identify.free_flight.estimate import mixture, prior_of
 from flighttest.identify.free_flight.translation import predicted
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, any_wind, headings_of, winds, winds_of
+from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -227,6 +228,13 @@ def test_each_flight_has_its_own_wind_and_drag_is_shared():
     assert abs(windy.west - 2.0) < 3.0 * windy.west_std < 4.0
     assert windy.from_deg == pytest.approx(27.0, abs=25.0)
     assert not found.turned
+
+
+def test_of_an_offset_as_much_is_expected_as_level_calibrations_leave():
+    for offset in catalogue()["attitude_offset"].params:
+        mean, std = prior_of(offset)
+        assert mean == 0.0
+        assert 2.0 * std == pytest.approx(np.radians(3.0))
 
 
 def test_nothing_to_fly_from_is_said():

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 
 from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term, Values
+
+OFFSET_STD_RAD = math.radians(1.5)  # 95 % of vehicles within 3 degrees of level
 
 
 def _offset(s: Signals, p: Values, _x: Values) -> Contribution:
@@ -16,7 +20,7 @@ def _offset(s: Signals, p: Values, _x: Values) -> Contribution:
 def _offset_param(axis: str) -> Param:
     return Param(
         f"offset_{axis}", f"δ_{axis}", "rad", 0.02, -0.17, 0.17, 0.01, f"{axis} of the thrust axis in the frame of the reported attitude",
-        "level calibration, centre of mass: 0 to 3 deg; ArduPilot limits its trim to 10 deg", drift=0.002,
+        "level calibration, centre of mass: 0 to 3 deg; ArduPilot limits its trim to 10 deg", drift=0.002, spread=OFFSET_STD_RAD,
     )  # fmt: skip
 
 
