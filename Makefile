@@ -15,7 +15,7 @@ demo: .venv/installed  ## fly the paper's three maneuvers on the built-in vehicl
 	$(BIN)/flighttest run thrust roll_pitch yaw_rate --connect sim --yes
 
 test: .venv/installed check  ## the checks and the default test suite
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 
 check: .venv/installed
 	$(BIN)/ruff check .

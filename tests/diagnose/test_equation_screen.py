@@ -89,7 +89,8 @@ def late(seconds, seed, samples):
 
 
 def test_a_late_velocity_is_named_with_its_latency():
-    found = find_terms(late(60.0, 31, 5), Model(attitude_loops=False), POOL)
+    delays = tuple(catalogue()[t] for t in ("velocity_latency", "thrust_extra_lag", "rotor_speed_lag", "axial_inflow"))
+    found = find_terms(late(60.0, 31, 5), Model(attitude_loops=False), delays)
     assert "velocity_latency" in found.named
     assert abs(found.final.values["velocity_latency"] - 0.1) < 0.02
     assert not set(find_terms(late(60.0, 31, 0), Model(attitude_loops=False), POOL).named)

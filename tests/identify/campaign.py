@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from flighttest.frames import rotation_from_euler
 from flighttest.segments.model import Segment
@@ -48,7 +51,21 @@ def first_order(t: np.ndarray, edges: list[tuple[float, float]], sigma: float) -
     return value
 
 
-def response(
+@dataclass
+class Drawn:
+    """A response before its velocity is known. t (n,), s; rotation (n, 3, 3) body to world; thrust (n,) and push (n, 3), world, m/s^2; drag
+    (3,), 1/s; start (3,), m/s; segment: of the force (n, 3), body, and the velocity (n, 3), world."""
+
+    t: np.ndarray
+    rotation: np.ndarray
+    thrust: np.ndarray
+    push: np.ndarray
+    drag: np.ndarray
+    start: np.ndarray
+    segment: Callable[[np.ndarray, np.ndarray], Segment]
+
+
+def drawn(
     rng: np.random.Generator,
     name: str,
     kind: str,
@@ -61,8 +78,8 @@ def response(
     noise: Mapping[str, float] = NOISE,
     rate_hz: float = 50.0,
     heading: float = 0.0,
-) -> Segment:
-    """One segment; refs: channel to (time from the step, value) with the first entry before everything."""
+) -> Drawn:
+    """One response; refs: channel to (time from the step, value) with the first entry before everything."""
     d = truth["T_d"]
     t = np.arange(-BEFORE, after_s, DT)
     late = {c: [(at + d, v) for at, v in e] for c, e in refs.items()}
@@ -74,41 +91,74 @@ def response(
     gain = truth["K"] * (voltage / 22.2) ** truth["alpha"]
     a_t = gain * first_order(t, late["throttle"], truth["sigma_t"])
     rotation = rotation_from_euler(np.stack([roll, pitch, yaw], axis=1))
-    constant = noise["disturbance"] * rng.standard_normal(3)
+    push = noise["disturbance"] * rng.standard_normal(3)
     kick = noise["gust"] * np.sqrt(2 * DT / 0.5) * rng.standard_normal((t.size, 3))
-    drag = np.array([truth["d_x"], truth["d_y"], truth["d_z"]])
-    v, f = np.zeros((t.size, 3)), np.zeros((t.size, 3))
-    gust = noise["gust"] * rng.standard_normal(3)
+    gust = lfilter(
+        [1.0], [1.0, DT / 0.5 - 1.0], np.concatenate([[noise["gust"] * rng.standard_normal(3)], kick]), axis=0
+    )
     at = 0.3 * rng.standard_normal(3) * (noise["disturbance"] > 0)
-    for k in range(t.size):
-        gust = gust * (1 - DT / 0.5) + kick[k]
-        back = rotation[k].T
-        v[k] = at
-        f[k] = np.array([0, 0, a_t[k]]) - drag * (back @ at) + back @ (constant + gust)
-        at = at + DT * (rotation[k] @ f[k] - np.array([0, 0, 9.81]))
-    # Velocity at second order: the mean of neighbouring accelerations.
-    a = np.einsum("kij,kj->ki", rotation, f) - np.array([0, 0, 9.81])
-    v = v[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (a[1:] + a[:-1]), axis=0) * DT])
     step = round(1000 / rate_hz)
     some = slice(int(rng.integers(0, step)), None, step)
     n = t[some].size
-
-    def noisy(x: np.ndarray, std: float) -> np.ndarray:
-        return x[some] + std * rng.standard_normal(x[some].shape)
-
-    fm, vm = noisy(f, noise["force"]), noisy(v, noise["velocity"])
-    y = {
-        "roll_rad": noisy(roll, noise["attitude"]), "pitch_rad": noisy(pitch, noise["attitude"]),
-        "yaw_rad": noisy(yaw, noise["attitude"]),
-        "r_rad_s": noisy(r, noise["rate"]), "voltage_v": voltage + noise["voltage"] * rng.standard_normal(n),
-        "f_x_m_s2": fm[:, 0], "f_y_m_s2": fm[:, 1], "f_z_m_s2": fm[:, 2],
-        "v_x_m_s": vm[:, 0], "v_y_m_s": vm[:, 1], "v_z_m_s": vm[:, 2],
+    off = {
+        name: std * rng.standard_normal(size)
+        for name, std, size in (
+            ("f", noise["force"], (n, 3)), ("v", noise["velocity"], (n, 3)),
+            *((f"{angle}_rad", noise["attitude"], n) for angle in ("roll", "pitch", "yaw")),
+            ("r_rad_s", noise["rate"], n), ("voltage_v", noise["voltage"], n),
+        )
     }  # fmt: skip
     base = 10.0 * float(rng.uniform(1, 50))
     u = {c: (np.array([at for at, _ in e]) + base, np.array([v for _, v in e])) for c, e in refs.items()}
     for c in ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s"):
         u.setdefault(c, (np.array([base - 9.0]), np.array([0.0])))
-    return Segment(name, "run", kind, cell, repeat, base, t[some] + base, y, u, heading_rad=heading)
+
+    def segment(f: np.ndarray, v: np.ndarray) -> Segment:
+        true = {
+            "roll_rad": roll,
+            "pitch_rad": pitch,
+            "yaw_rad": yaw,
+            "r_rad_s": r,
+            "voltage_v": np.full(t.size, voltage),
+        }
+        y = {c: values[some] + off[c] for c, values in true.items()}
+        y |= {c: (f[some] + off["f"])[:, k] for k, c in enumerate(("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"))}
+        y |= {c: (v[some] + off["v"])[:, k] for k, c in enumerate(("v_x_m_s", "v_y_m_s", "v_z_m_s"))}
+        return Segment(name, "run", kind, cell, repeat, base, t[some] + base, y, u, heading_rad=heading)
+
+    drag = np.array([truth["d_x"], truth["d_y"], truth["d_z"]])
+    return Drawn(t, rotation, a_t, push + gust[1:], drag, at, segment)
+
+
+def flown(responses: Sequence[Drawn]) -> list[Segment]:
+    """Their segments; all velocities are integrated side by side, the shorter with nothing behind their end."""
+    m, most = len(responses), max(r.t.size for r in responses)
+    rotation, lift, push, f = (
+        np.zeros((most, m, 3, 3)),
+        np.zeros((most, m, 3)),
+        np.zeros((most, m, 3)),
+        np.zeros((most, m, 3)),
+    )
+    for i, r in enumerate(responses):
+        rotation[: r.t.size, i], lift[: r.t.size, i, 2], push[: r.t.size, i] = r.rotation, r.thrust, r.push
+    drag, at = np.stack([r.drag for r in responses]), np.stack([r.start for r in responses])
+    still = lift + np.einsum("kmji,kmj->kmi", rotation, push)
+    for k in range(most):
+        f[k] = still[k] - drag * np.einsum("mji,mj->mi", rotation[k], at)
+        at = at + DT * (np.einsum("mij,mj->mi", rotation[k], f[k]) - [0.0, 0.0, 9.81])
+    made = []
+    for i, r in enumerate(responses):
+        own = f[: r.t.size, i]
+        # Velocity at second order: the mean of neighbouring accelerations.
+        a = np.einsum("kij,kj->ki", r.rotation, own) - np.array([0, 0, 9.81])
+        v = r.start + np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (a[1:] + a[:-1]), axis=0) * DT])
+        made.append(r.segment(own, v))
+    return made
+
+
+def response(*given: Any, **options: Any) -> Segment:
+    """The segment of one, as `drawn` is asked for it."""
+    return flown([drawn(*given, **options)])[0]
 
 
 def campaign(
@@ -122,13 +172,13 @@ def campaign(
 ) -> list[Segment]:
     """72 thrust, 36 attitude and 8 yaw responses, as in the paper."""
     rng = np.random.default_rng(seed)
-    made: list[Segment] = []
+    made: list[Drawn] = []
 
     def add(
         name: str, kind: str, cell: Mapping[str, float], repeat: int, refs: Refs, after_s: float, volts: float
     ) -> None:
         heading = np.pi / 2 * (repeat % 4)
-        made.append(response(rng, name, kind, cell, repeat, refs, after_s, volts, truth, noise, rate_hz, heading))
+        made.append(drawn(rng, name, kind, cell, repeat, refs, after_s, volts, truth, noise, rate_hz, heading))
 
     for repeat in range(thrust_repeats):
         for t0, t1 in COMBINATIONS:
@@ -155,4 +205,4 @@ def campaign(
     for rate, sign, repeat in product((1.0, 2.0), (1, -1), range(yaw_repeats)):
         refs = {"yaw_rate_ref_rad_s": [(-9.0, 0.0), (0.0, sign * rate), (1.5, 0.0)], "throttle": [(-9.0, hover)]}
         add(f"yaw{rate * sign}{repeat}", "yaw_rate_step", {"rate_rad_s": sign * rate}, repeat, refs, 2.0, 23.0)
-    return made
+    return flown(made)
