@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from flighttest.diagnose.records import (
     ParameterRow,
     RegimeCurve,
 )
+from flighttest.diagnose.selection.search import silent
 from flighttest.diagnose.step_error import StepError
 from flighttest.identify.fit import Fit
 from flighttest.identify.free_flight.estimated import HeldEstimate
@@ -34,7 +35,33 @@ from flighttest.segments.model import Segment
 SEED = 0  # of sign flips and resampling: the same recordings give the same diagnosis
 TOGETHER = ""  # all channels of a part, in `PartAnswer.shares`
 
+A = TypeVar("A")
+B = TypeVar("B")
 V = TypeVar("V")
+
+
+class SideBySide(Protocol):
+    """A way to run work(items), one result for each item, in more than one process; shares: of the work that each item is, roughly."""
+
+    def __call__(
+        self, work: Callable[[Sequence[A]], list[B]], items: Sequence[A], shares: Sequence[float], /
+    ) -> list[B]:
+        """The results, in order."""
+
+
+def one_after_the_other(
+    work: Callable[[Sequence[A]], list[B]], items: Sequence[A], _shares: Sequence[float], /
+) -> list[B]:
+    """All the work in this process."""
+    return work(items)
+
+
+@dataclass(frozen=True)
+class SearchSupport:
+    """What a caller supports a search with. progress: receives a sentence on each stage; side_by_side: divides work over processes."""
+
+    progress: Callable[[str], None] = silent
+    side_by_side: SideBySide = one_after_the_other
 
 
 @dataclass(frozen=True)
@@ -52,7 +79,7 @@ class Asked:
     group_name: str
     previous: Mapping[str, tuple[float, float | None]]
     weather: Mapping[str, str]
-    tell: Callable[[str], None]
+    support: SearchSupport
 
 
 @dataclass

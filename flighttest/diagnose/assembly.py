@@ -55,7 +55,7 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
         *(t for t in accepted if t in joined), *(t for a in answers for t in a.terms if t not in nats)
     )
     winds = next((a.winds for a in answers if a.winds), ())
-    asked.tell(f"fitting {' + '.join(final.terms)}")
+    asked.support.progress(f"fitting {' + '.join(final.terms)}")
     final_fit = _final_fit(asked, answers, searches, final, winds)
     before = merged([parameter_table(asked.base) if asked.base else {}, *(a.before for a in answers)])
     after = parameter_table(final_fit)
@@ -72,7 +72,7 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
     nameless = searches and so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)
     formulas = _described(asked, searches, staying) if nameless else []
-    asked.tell("choosing the next flight")
+    asked.support.progress("choosing the next flight")
     catalogued = {t.id: t for t in pool}
 
     def fits(script: ScriptData) -> tuple[ScriptData, float] | None:
@@ -155,7 +155,7 @@ def _not_testable(
 
 def _described(asked: Asked, searches: Sequence[Search], staying: set[str]) -> list[Description]:
     """What has no name, by sparse regression. staying: channels whose mismatch stays."""
-    asked.tell("describing the rest by residual regression")
+    asked.support.progress("describing the rest by residual regression")
     channels = _with_forces(staying)
     return [one for search in searches for one in describe(search, asked.segments, asked.groups, channels)]
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from flighttest.diagnose.answer import Asked, PartAnswer
+from flighttest.diagnose.answer import Asked, PartAnswer, SearchSupport, one_after_the_other
 from flighttest.diagnose.assembly import assembled
 from flighttest.diagnose.conclusion import pushed_once
 from flighttest.diagnose.free_flight import by_prediction_errors
@@ -16,7 +16,6 @@ from flighttest.diagnose.output_error import by_output_error
 from flighttest.diagnose.records import SetAside
 from flighttest.diagnose.residuals.outlying import set_aside
 from flighttest.diagnose.selection.held_out import held_out_groups
-from flighttest.diagnose.selection.search import silent
 from flighttest.errors import FitError
 from flighttest.estimation.estimator import BLOCKS
 from flighttest.identify.diagnostics.local_optima import misfit
@@ -34,22 +33,11 @@ LEAST_SEGMENTS = 4
 # How much of the work each block is, roughly.
 SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
 
-Work = Callable[[Sequence[str]], list[PartAnswer]]
-SideBySide = Callable[[Work, Sequence[str], Sequence[float]], list[PartAnswer]]
-
-
-def one_after_the_other(work: Work, items: Sequence[str], _shares: Sequence[float]) -> list[PartAnswer]:
-    """All the work in this process."""
-    return work(items)
-
 
 @dataclass(frozen=True)
-class Support:
-    """What a caller supports a diagnosis with. progress: receives a sentence on each stage; side_by_side(work, items, shares of the work):
-    a way to run work(items), one result per item, in more than one process; flyable: what of a maneuver the zone has space for."""
+class Support(SearchSupport):
+    """What a caller supports a diagnosis with. flyable: what of a maneuver the zone has space for."""
 
-    progress: Callable[[str], None] = silent
-    side_by_side: SideBySide = one_after_the_other
     flyable: Flyable = as_shipped
 
 
@@ -81,8 +69,8 @@ def diagnose(
         model = default_model(usable)
     if model.attitude_loops and not has_attitude_references(usable):
         model = replace(model, attitude_loops=False)
-    begun = _begun(usable, _Request(model, previous or {}, weather or {}, only, support.progress))
-    answers = [begun.sensors, *_searched(begun, support.side_by_side)]
+    begun = _begun(usable, _Request(model, previous or {}, weather or {}, only, support))
+    answers = [begun.sensors, *_searched(begun)]
     if not any(type(a) is not PartAnswer for a in answers):
         if not all(a.complete for a in answers):
             raise KeyboardInterrupt  # before anything was known
@@ -105,7 +93,7 @@ class _Request:
     previous: Mapping[str, tuple[float, float | None]]
     weather: Mapping[str, str]
     only: Sequence[str] | None
-    say: Callable[[str], None]
+    support: SearchSupport
 
 
 @dataclass(frozen=True)
@@ -132,14 +120,14 @@ def _begun(usable: tuple[Segment, ...], request: _Request) -> _Begun:
     settled = {*sensors.accepted, *(sensors.tried if "translation" in own else ())}
     pool = tuple(t for t in pool if t.id not in settled)
     kept, aside = usable, SetAside()
-    base = None if {*_blocks(model, own)} <= {*own} else _base(usable, model, own, previous, request.say)
+    base = None if {*_blocks(model, own)} <= {*own} else _base(usable, model, own, previous, request.support)
     if base is not None:
         kept, aside = set_aside(usable, base.start.nuisance)
         if aside:
             base = _fitted(kept, base.model, base.values)
             names = {(s.run, s.name) for s in kept}
             recorded = tuple(s for s in recorded if (s.run, s.name) in names)
-    asked = Asked(kept, recorded, model, pool, base, *held_out_groups(kept), previous, weather, request.say)
+    asked = Asked(kept, recorded, model, pool, base, *held_out_groups(kept), previous, weather, request.support)
     return _Begun(sensors, own, asked, aside)
 
 
@@ -150,10 +138,14 @@ def _blocks(model: Model, own: Sequence[str]) -> tuple[str, ...]:
     return tuple(b for b in order if b == "translation" or model.attitude_loops)
 
 
-def _searched(begun: _Begun, side_by_side: SideBySide) -> list[PartAnswer]:
-    """The answer of every part of the model."""
+def _searched(begun: _Begun) -> list[PartAnswer]:
+    """The answer of every part of the model: parts side by side, or, one waiting for the other, what each of them estimates."""
     own, asked = begun.by_prediction_errors, begun.asked
-    blocks, way = _blocks(asked.model, own), one_after_the_other if "translation" in own else side_by_side
+    blocks, way = _blocks(asked.model, own), asked.support.side_by_side
+    if "translation" in own:
+        way = one_after_the_other
+    else:
+        asked = replace(asked, support=replace(asked.support, side_by_side=one_after_the_other))
 
     def search(some: Sequence[str]) -> list[PartAnswer]:
         answers: list[PartAnswer] = []
@@ -183,10 +175,10 @@ def _base(
     model: Model,
     own: Sequence[str],
     previous: Mapping[str, tuple[float, float | None]],
-    say: Callable[[str], None],
+    support: SearchSupport,
 ) -> Fit | None:
     """The parts of the base model that are not by prediction errors (own); None where nothing moves any of them."""
-    say("fitting the base model")
+    support.progress("fitting the base model")
     loops = model.attitude_loops and not {*LOOPS} & {*own}
     try:
         return _fitted(segments, replace(model, attitude_loops=loops), {k: v[0] for k, v in previous.items()})

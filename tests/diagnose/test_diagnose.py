@@ -8,7 +8,8 @@ import pytest
 from flight import campaign, fly
 
 from flighttest.diagnose import Verdict, diagnose
-from flighttest.diagnose.run import Support, one_after_the_other
+from flighttest.diagnose.answer import one_after_the_other
+from flighttest.diagnose.run import Support
 from flighttest.diagnose.selection import comparison
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.diagnose.selection.search import Search

@@ -1,5 +1,6 @@
 """Diagnosis of free flight alone, of vehicles made without our equations: in a wind, with a tilted thrust axis, or in neither."""
 
+import pickle
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import Verdict, diagnose
+from flighttest.diagnose.answer import SearchSupport
 from flighttest.diagnose.conclusion import sentence_of
 from flighttest.diagnose.free_flight import equation_search
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
@@ -61,6 +63,23 @@ def test_a_wind_is_named_with_its_size_and_nothing_else_is():
     (wind,) = found.winds
     assert wind.verdict is WindVerdict.WIND
     assert abs(wind.north + 7.0) < 3.0 * wind.north_std < 4.0
+
+
+def test_what_other_processes_estimate_is_what_this_one_would():
+    dealt = []
+
+    def elsewhere(work, items, shares):
+        dealt.append((len(items), len(shares)))
+        return [pickle.loads(pickle.dumps(one)) for one in work(items)]
+
+    flown = stretches(windy())
+    here, there = (find_terms(flown, ALONE, TILTS, support=s) for s in (None, SearchSupport(side_by_side=elsewhere)))
+    assert here.named == there.named != {}
+    assert here.final.values == there.final.values
+    assert np.array_equal(here.final.covariance, there.final.covariance)
+    assert here.screened == there.screened
+    assert all(items == shares for items, shares in dealt)
+    assert max(items for items, _ in dealt) > 2
 
 
 def test_a_tilted_thrust_axis_in_still_air_is_called_no_wind():

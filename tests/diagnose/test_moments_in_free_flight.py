@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from flighttest.diagnose.free_flight import estimates
 from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.identify.free_flight.estimate import covariance_at
@@ -93,7 +94,7 @@ def test_a_term_is_estimated_from_usual_loops_too(monkeypatch):
         starts.extend((model.terms, dict(one)) for one in start)
         return estimate(flown, model, start=start, **asked)
 
-    monkeypatch.setitem(find_terms.__globals__, "estimate", estimated)
+    monkeypatch.setattr(estimates, "estimate", estimated)
     base = find_terms(flown(MOMENT), Model(), (catalogue()["airflow_moment"],), part="roll_pitch").base
     of_moments = [start for terms, start in starts if "airflow_moment" in terms][:2]
     usual = Model().param["omega_phi"].nominal

@@ -66,7 +66,7 @@ def by_prediction_errors(part: str, asked: Asked, winds: Sequence[FlightWind] = 
     start = {k: v[0] for k, v in asked.previous.items()}
     try:
         search = find_terms(
-            stretches(segments, part), model, asked.pool, part=part, weather=asked.weather, start=start, progress=asked.tell,
+            stretches(segments, part), model, asked.pool, part=part, weather=asked.weather, start=start, support=asked.support,
         )  # fmt: skip
     except FitError:
         if not loops:

@@ -8,12 +8,14 @@ A term without a linear coefficient (a limit, a second lag) has what each of its
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.diagnose.answer import SideBySide, one_after_the_other
 from flighttest.diagnose.selection.candidates import grid, null_value
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.estimation.equation_error import Stream, Whitened, block_rows, whiten
@@ -49,6 +51,9 @@ class Screened:
     nats: float = 0.0
 
 
+Tests = Callable[[Sequence[Segment], FreeFlight, Sequence[Term], int], Iterator[Screened]]
+
+
 def seen_by_equations(term: Term, model: Model, part: str) -> bool:
     """Whether a term acts in a part of a model (`estimation.estimator.BLOCKS`)."""
     if part == "translation" or block_of(term) == "translation":
@@ -74,7 +79,12 @@ def settings(term: Term, flown: Sequence[Segment]) -> list[dict[str, float]]:
     return found
 
 
-def screen(flown: Sequence[Segment], base: FreeFlight, pool: Sequence[Term]) -> tuple[Screened, ...]:
+def screen(
+    flown: Sequence[Segment],
+    base: FreeFlight,
+    pool: Sequence[Term],
+    side_by_side: SideBySide = one_after_the_other,
+) -> tuple[Screened, ...]:
     """Score tests of the terms that the equations see, most significant first; of each the best of its settings.
 
     flown: stretches that `base` was estimated from. A term whose columns are not finite is left out.
@@ -91,12 +101,14 @@ def screen(flown: Sequence[Segment], base: FreeFlight, pool: Sequence[Term]) -> 
     # A state of unknown start needs a long lead (`motion_equations`), which the others are not to pay for.
     alone = [t for t in linear if any(s.free for s in t.states) and t.id != LATENCY]
     together = [t for t in linear if t not in alone]
+    jobs = [(_linear, some) for some in (together, *([t] for t in alone)) if some]
+    jobs += [(_nonlinear, [t for t in terms if not t.amplitudes])]
+
+    def work(some: Sequence[tuple[Tests, list[Term]]]) -> list[list[Screened]]:
+        return [list(tests(flown, base, own, rows)) for tests, own in some]
+
     best: dict[str, Screened] = {}
-    for some in ([together] if together else []) + [[t] for t in alone]:
-        for found in _linear(flown, base, some, rows):
-            if found.term not in best or found.p_value < best[found.term].p_value:
-                best[found.term] = found
-    for found in _nonlinear(flown, base, [t for t in terms if not t.amplitudes], rows):
+    for found in chain(*side_by_side(work, jobs, [1.0] * len(jobs))):
         if found.term not in best or found.p_value < best[found.term].p_value:
             best[found.term] = found
     return tuple(sorted(best.values(), key=lambda s: s.p_value))

@@ -13,32 +13,30 @@ likelier one. Wind is looked for first, against what looks like it at one headin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from flighttest.channels import CHANNELS
+from flighttest.diagnose.answer import SearchSupport
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
+from flighttest.diagnose.free_flight.estimates import ModelEstimates
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
-from flighttest.diagnose.free_flight.significance import EDGE_OF_INTERVAL, coefficients_of, null_inside_interval, wald
-from flighttest.diagnose.selection.admissible import EstimatedModel, not_allowed_beside_others, outside_prior
+from flighttest.diagnose.free_flight.significance import EDGE_OF_INTERVAL, coefficients_of, null_inside_interval
+from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
-from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import PROBABILITY, level_of, log_odds_asked, probability_of
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.errors import FitError
 from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
-from flighttest.identify.free_flight import FreeFlight, estimate
-from flighttest.identify.free_flight.equations import Equations
-from flighttest.identify.free_flight.estimate import covariance_at, determined, start_of
+from flighttest.identify.free_flight import FreeFlight
+from flighttest.identify.free_flight.estimate import start_of
 from flighttest.identify.free_flight.translation import LATENCY
 from flighttest.identify.free_flight.winds import (
     BESIDE_WIND,
-    WIND,
     WIND_TERM,
     FlightWind,
     WindVerdict,
@@ -114,7 +112,7 @@ def find_terms(
     part: str = "translation",
     weather: Mapping[str, str] | None = None,
     start: Mapping[str, float] | None = None,
-    progress: Callable[[str], None] = lambda text: None,
+    support: SearchSupport | None = None,
 ) -> EquationSearch:
     """Search the terms of `pool` on stretches of free flight (`identify.free_flight.stretches`).
 
@@ -125,14 +123,15 @@ def find_terms(
     known = {t.id: t for t in pool if seen_by_equations(t, model, part) and not missing_channels(t, tuple(flown))}
     if any(np.isfinite(s.y.get("f_x_m_s2", np.nan)).any() for s in flown):
         known.pop(LATENCY, None)  # an accelerometer shows forces without the velocity
-    asked = _Asked(flown, part, priors, tuple(t for t in known.values() if t.id not in model.terms))
-    progress(f"estimating the base model of the {PART_IN_WORDS[part]}")
+    pooled = tuple(t for t in known.values() if t.id not in model.terms)
+    asked = ModelEstimates(flown, part, priors, pooled, support or SearchSupport())
+    asked.support.progress(f"estimating the base model of the {PART_IN_WORDS[part]}")
     base = asked.estimate(model, {k: v for k, v in (start or {}).items() if k in model.names})
     found = EquationSearch(flown, base, base, offered=tuple(known), declared=declared)
     found.turned = part != "translation" or turned(flown)
     try:
         _wind_first(found, asked, known)
-        while len(found.named) < MOST_NAMED and _step(found, asked, known, progress):
+        while len(found.named) < MOST_NAMED and _step(found, asked, known):
             _drop_what_left(found, asked)
     except KeyboardInterrupt:
         found.complete = False
@@ -141,59 +140,6 @@ def find_terms(
             found.final = asked.estimate(found.final.model, _shared(found.final.values))
         found.winds = found.seen()
     return found
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """pool: terms that are looked for."""
-
-    flown: Sequence[Segment]
-    part: str
-    priors: Mapping[str, tuple[float, float]]
-    pool: tuple[Term, ...]
-    _known: dict[tuple[Model, Any], FreeFlight] = field(default_factory=dict)
-
-    def estimate(self, model: Model, *starts: Mapping[str, float]) -> FreeFlight:
-        """From one or several starts, once: what looks like a wind is compared with it and then asked for by itself. Coefficients that
-        are not their term's effect (`not_allowed_beside_others`) are held at their null values, and the rest estimated again."""
-        key = model, tuple(tuple(start.items()) for start in starts)
-        if key not in self._known:
-            free = determined(self.flown, model)
-            found = estimate(self.flown, model, part=self.part, start=starts, **self._given(model, free))
-            if held := self._not_estimates(found):
-                free = [n for n in free if n not in held]
-                start = {**found.values, **held}
-                found = estimate(self.flown, model, part=self.part, start=start, **self._given(model, free))
-            self._known[key] = found
-        return self._known[key]
-
-    def _not_estimates(self, found: FreeFlight) -> dict[str, float]:
-        """Name to null value."""
-        estimates = EstimatedModel(found.names, found.values, lambda: found.std, self.flown)
-        terms = ([p for p in t.amplitudes if p.name in found.names] for t in self.pool if t.id in found.model.terms)
-        return {p.name: null_value(p) for own in terms for p in not_allowed_beside_others(own, estimates)}
-
-    def presence(self, found: FreeFlight, term: Term) -> float:
-        """p-value of a term's linear coefficients against their null values, by the robust covariance of a test (`covariance_at`), times
-        the number of settings that its nonlinear parameters were chosen from (Bonferroni: they mean nothing where the term is not, Davies
-        1977).
-
-        Whether a term is there in these flights is asked as of a single one, by what blocks of flight differ by. What flights differ in
-        beyond that makes its value uncertain and not its presence: three tunnel flights with a moment of 1.8, 2.5 and 2.7 rad/(s m), each
-        with p below 1e-11, had p 0.02 together, by two degrees of freedom.
-        """
-        null = {p.name: null_value(p) for p in term.amplitudes}
-        covariance = covariance_at(self.flown, found, null, **self._given(found.model, found.estimated))
-        return min(1.0, len(settings(term, self.flown)) * wald(found, term, covariance))
-
-    def _given(self, model: Model, free: Sequence[str]) -> dict[str, Any]:
-        own = WIND if WIND_TERM in model.terms else ()
-        return {"free": free, "per_flight": own, "priors": self.priors}
-
-    def streams(self, found: FreeFlight) -> list[Stream]:
-        with np.errstate(all="ignore"):
-            equations = Equations(found.model, self.flown, self.part)
-            return equations.streams(found.values, found.estimated, found.per_flight)[0]
 
 
 def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str, float]:
@@ -208,8 +154,8 @@ def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str,
     return {c: float(np.sqrt(total / max(count, 1.0))) for c, (total, count) in squares.items()}
 
 
-def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, asked: _Asked) -> float:
-    """p-value of a term: of its linear coefficients (`_Asked.presence`); where it has none, of the quasi-likelihood ratio times its
+def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, asked: ModelEstimates) -> float:
+    """p-value of a term: of its linear coefficients (`ModelEstimates.presence`); where it has none, of the quasi-likelihood ratio times its
     settings."""
     if term.amplitudes:
         return asked.presence(richer, term)
@@ -228,7 +174,7 @@ def _nats(richer: FreeFlight, poorer: FreeFlight) -> float:
     return _score(richer, richer) - _score(poorer, richer)
 
 
-def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term]) -> None:
+def _wind_first(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> None:
     """Wind of every flight against what looks like it at one heading: models with a wind compared with models that have none.
 
     Beside each other neither is significant, since either takes the other's place; their models are told apart by what a wind does
@@ -238,13 +184,16 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term])
     if WIND_TERM not in known:
         return
     beside = [t for t in BESIDE_WIND if t in known]
+    asked.ahead([(base.model.with_terms(*some), [base.values]) for some in ((WIND_TERM, *beside), (WIND_TERM,))])
     tried = asked.estimate(base.model.with_terms(WIND_TERM, *beside), base.values)
     alone = asked.estimate(base.model.with_terms(WIND_TERM), base.values)
     windy = max(tried, alone, key=lambda one: _score(one, tried))
     drag = [n for n in ("d_x", "d_y", "k_x", "k_y", "c_h") if n in windy.std and windy.values[n] > 2.0 * windy.std[n]]
     if not drag:
         return
-    without = [base, *(asked.estimate(base.model.with_terms(*some), base.values) for some in _each_and_all(beside))]
+    rest = [base.model.with_terms(*some) for some in _each_and_all(beside)]
+    asked.ahead([(model, [base.values]) for model in rest])
+    without = [base, *(asked.estimate(model, base.values) for model in rest)]
     calm = max(without, key=lambda one: _score(one, tried))
     nats = _score(windy, tried) - _score(calm, tried)
     if probability_of(nats, len(known)) < PROBABILITY:
@@ -277,12 +226,12 @@ def _each_and_all(terms: Sequence[str]) -> list[tuple[str, ...]]:
     return [*((t,) for t in terms), *([tuple(terms)] if len(terms) > 1 else [])]
 
 
-def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progress: Callable[[str], None]) -> bool:
+def _step(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> bool:
     """Screen, estimate the most significant terms anew, take the best; False where none is to be taken."""
     now = found.final
     pool = [t for t in known.values() if t.id not in now.model.terms]
-    progress(f"{PART_IN_WORDS[asked.part]}: screening the catalogue")
-    found.screened = screen(asked.flown, now, pool)
+    asked.support.progress(f"{PART_IN_WORDS[asked.part]}: screening the catalogue")
+    found.screened = screen(asked.flown, now, pool, asked.support.side_by_side)
     # The noise of an attitude lasts as long as what air does to it, and holds that until it is in the model: the score test of blocks says
     # little of it.
     level, odds = level_of(len(known)), math.inf if asked.part == "translation" else log_odds_asked(len(known))
@@ -292,13 +241,19 @@ def _step(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], progr
     # without a moment of the air six flights of a Crazyflie had loops of 63 rad/s, damped 0.02, from where none was found.
     body = {n: v for n, v in start_of(asked.flown, now.model).items() if now.model.param[n].kind == "base"}
     usual = {} if asked.part == "translation" else body
+    tries: list[tuple[Model, list[dict[str, float]]]] = []
     for s in picks:
-        progress(f"{PART_IN_WORDS[asked.part]}: estimating with {s.term}")
         others = (one for one in settings(known[s.term], asked.flown) if one != s.shape)
-        model, first, second = now.model.with_terms(s.term), s.shape, {**usual, **next(others, s.shape)}
+        first, second = s.shape, {**usual, **next(others, s.shape)}
+        starts = [first, second] if second != first else [first]
+        tries.append((now.model.with_terms(s.term), [{**now.values, **start} for start in starts]))
+    if picks:
+        terms = ", ".join(s.term for s in picks)
+        asked.support.progress(f"{PART_IN_WORDS[asked.part]}: estimating with {terms}")
+    asked.ahead(tries)
+    for s, (model, from_values) in zip(picks, tries, strict=True):
         try:
-            starts = [first, second] if second != first else [first]
-            estimated.append((s, asked.estimate(model, *({**now.values, **start} for start in starts))))
+            estimated.append((s, asked.estimate(model, *from_values)))
         except FitError as problem:
             found.refused[s.term] = (-np.inf, str(problem))
     # One inflation for all that are compared, that of the likeliest: by its own, a worse model of more noise would gain less.
@@ -340,7 +295,7 @@ class _Trial:
     size: Mapping[str, float]
 
 
-def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
+def _against(trial: _Trial, asked: ModelEstimates, candidates: int) -> str:
     """Why a term is not taken; empty where it is."""
     nats, p_value, level = trial.nats, trial.p_value, level_of(candidates)
     if not np.isfinite(nats) or nats <= 0.0:
@@ -361,7 +316,7 @@ def _against(trial: _Trial, asked: _Asked, candidates: int) -> str:
     return outside_prior(trial.term, estimates, least) or against_larger(held)
 
 
-def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
+def _drop_what_left(found: EquationSearch, asked: ModelEstimates) -> None:
     """Terms that are no longer significant beside the newest leave, the newest excepted."""
     known = {t.id: t for t in found.final.model.built_terms}
     for name in list(found.named)[:-1]:
@@ -379,7 +334,7 @@ def _drop_what_left(found: EquationSearch, asked: _Asked) -> None:
         found.refused[name] = (0.0, "not needed beside the terms that joined later")
 
 
-def _no_longer_needed(found: FreeFlight, term: Term, asked: _Asked) -> bool:
+def _no_longer_needed(found: FreeFlight, term: Term, asked: ModelEstimates) -> bool:
     """Whether a term with linear coefficients is significant no longer, or its value no longer known."""
     return bool(term.amplitudes) and (
         asked.presence(found, term) > EDGE_OF_INTERVAL or bool(null_inside_interval(found, term))

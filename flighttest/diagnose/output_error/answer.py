@@ -57,7 +57,7 @@ def by_output_error(block: str, asked: Asked) -> PartAnswer:
     pool = tuple(t for t in asked.pool if _acts(t, estimator, own) and not missing_channels(t, asked.segments))
     origin = start_values(asked.segments, model, onset_delay(asked.segments))
     models = FittedModels(estimator, pool, inactive, origin)
-    search = Search(models, asked.groups, lambda text: asked.tell(f"{block}: {text}"))
+    search = Search(models, asked.groups, lambda text: asked.support.progress(f"{block}: {text}"))
     complete = True
     try:
         begun = estimator.start(own, asked.base.values)

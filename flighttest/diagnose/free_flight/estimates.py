@@ -1,0 +1,101 @@
+"""Estimates of the models that a search of free flight compares: each made once, several side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from flighttest.diagnose.answer import SearchSupport
+from flighttest.diagnose.free_flight.equation_screen import settings
+from flighttest.diagnose.free_flight.significance import wald
+from flighttest.diagnose.selection.admissible import EstimatedModel, not_allowed_beside_others
+from flighttest.diagnose.selection.candidates import null_value
+from flighttest.errors import FitError
+from flighttest.estimation.equation_error import Stream
+from flighttest.identify.free_flight import FreeFlight, estimate
+from flighttest.identify.free_flight.equations import Equations
+from flighttest.identify.free_flight.estimate import covariance_at, determined
+from flighttest.identify.free_flight.winds import WIND, WIND_TERM
+from flighttest.physics.core import Term
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+
+@dataclass(frozen=True)
+class ModelEstimates:
+    """Of the models that a search compares on some flights, each made once. priors: of `identify.free_flight.estimate`; pool: terms that
+    are looked for."""
+
+    flown: Sequence[Segment]
+    part: str
+    priors: Mapping[str, tuple[float, float]]
+    pool: tuple[Term, ...]
+    support: SearchSupport
+    _known: dict[tuple[Model, Any], FreeFlight] = field(default_factory=dict)
+
+    def estimate(self, model: Model, *starts: Mapping[str, float]) -> FreeFlight:
+        """From one or several starts, once: what looks like a wind is compared with it and then asked for by itself. Coefficients that
+        are not their term's effect (`not_allowed_beside_others`) are held at their null values, and the rest estimated again."""
+        key = self._key(model, starts)
+        if key not in self._known:
+            free = determined(self.flown, model)
+            found = estimate(self.flown, model, part=self.part, start=starts, **self._given(model, free))
+            if held := self._not_estimates(found):
+                free = [n for n in free if n not in held]
+                start = {**found.values, **held}
+                found = estimate(self.flown, model, part=self.part, start=start, **self._given(model, free))
+            self._known[key] = found
+        return self._known[key]
+
+    def ahead(self, tried: Sequence[tuple[Model, Sequence[Mapping[str, float]]]]) -> None:
+        """Estimate several models side by side, each from its starts, so that `estimate` knows them. One that cannot be is left to it."""
+
+        def work(some: Sequence[tuple[Model, Sequence[Mapping[str, float]]]]) -> list[FreeFlight | None]:
+            found: list[FreeFlight | None] = []
+            for model, starts in some:
+                try:
+                    found.append(self.estimate(model, *starts))
+                except FitError:
+                    found.append(None)
+            return found
+
+        made = self.support.side_by_side(work, tried, [len(starts) for _, starts in tried])
+        self._known.update(
+            (self._key(*one), found) for one, found in zip(tried, made, strict=True) if found is not None
+        )
+
+    @staticmethod
+    def _key(model: Model, starts: Sequence[Mapping[str, float]]) -> tuple[Model, Any]:
+        return model, tuple(tuple(start.items()) for start in starts)
+
+    def _not_estimates(self, found: FreeFlight) -> dict[str, float]:
+        """Name to null value."""
+        estimates = EstimatedModel(found.names, found.values, lambda: found.std, self.flown)
+        terms = ([p for p in t.amplitudes if p.name in found.names] for t in self.pool if t.id in found.model.terms)
+        return {p.name: null_value(p) for own in terms for p in not_allowed_beside_others(own, estimates)}
+
+    def presence(self, found: FreeFlight, term: Term) -> float:
+        """p-value of a term's linear coefficients against their null values, by the robust covariance of a test (`covariance_at`), times
+        the number of settings that its nonlinear parameters were chosen from (Bonferroni: they mean nothing where the term is not, Davies
+        1977).
+
+        Whether a term is there in these flights is asked as of a single one, by what blocks of flight differ by. What flights differ in
+        beyond that makes its value uncertain and not its presence: three tunnel flights with a moment of 1.8, 2.5 and 2.7 rad/(s m), each
+        with p below 1e-11, had p 0.02 together, by two degrees of freedom.
+        """
+        null = {p.name: null_value(p) for p in term.amplitudes}
+        covariance = covariance_at(self.flown, found, null, **self._given(found.model, found.estimated))
+        return min(1.0, len(settings(term, self.flown)) * wald(found, term, covariance))
+
+    def _given(self, model: Model, free: Sequence[str]) -> dict[str, Any]:
+        own = WIND if WIND_TERM in model.terms else ()
+        return {"free": free, "per_flight": own, "priors": self.priors}
+
+    def streams(self, found: FreeFlight) -> list[Stream]:
+        """Residuals and Jacobian of every stretch, of an estimate."""
+        with np.errstate(all="ignore"):
+            equations = Equations(found.model, self.flown, self.part)
+            return equations.streams(found.values, found.estimated, found.per_flight)[0]
