@@ -243,13 +243,13 @@ def _step(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term
     usual = {} if asked.part == "translation" else body
     tries: list[tuple[Model, list[dict[str, float]]]] = []
     for s in picks:
-        others = (one for one in settings(known[s.term], asked.flown) if one != s.shape)
-        first, second = s.shape, {**usual, **next(others, s.shape)}
+        another = (one for one in settings(known[s.term], asked.flown) if one != s.shape)
+        first, second = s.shape, {**usual, **next(another, s.shape)}
         starts = [first, second] if second != first else [first]
         tries.append((now.model.with_terms(s.term), [{**now.values, **start} for start in starts]))
     if picks:
-        terms = ", ".join(s.term for s in picks)
-        asked.support.progress(f"{PART_IN_WORDS[asked.part]}: estimating with {terms}")
+        rest = f" and {len(picks) - 1} more" if len(picks) > 1 else ""
+        asked.support.progress(f"{PART_IN_WORDS[asked.part]}: estimating with {picks[0].term}{rest}")
     asked.ahead(tries)
     for s, (model, from_values) in zip(picks, tries, strict=True):
         try:
