@@ -51,7 +51,7 @@ class ModelEstimates:
         return self._known[key]
 
     def ahead(self, tried: Sequence[tuple[Model, Sequence[Mapping[str, float]]]]) -> None:
-        """Estimate several models side by side, each from its starts, so that `estimate` has them at once. One that cannot be is left to it."""
+        """Estimate several models side by side, each from its starts, so that `estimate` has them. One that cannot be is left to it."""
 
         def work(some: Sequence[tuple[Model, Sequence[Mapping[str, float]]]]) -> list[FreeFlight | None]:
             found: list[FreeFlight | None] = []
