@@ -28,7 +28,7 @@ def diagnosed(shared_data, repository, *flights, **options):
 
 
 def test_a_wind_is_named_where_the_fan_blew_and_its_interval_holds_that_of_the_fan(shared_data, repository):
-    found = diagnosed(shared_data, repository, "NF-T_35wind")
+    found = diagnosed(shared_data, repository, "NF-T_35wind", only=(WIND_TERM, *BESIDE_WIND, "translational_lift"))
     assert "steady_wind" in found.accepted
     (wind,) = found.winds
     assert wind["w_north"] == pytest.approx(-4.2, abs=2.0 * wind["w_north_std"])
