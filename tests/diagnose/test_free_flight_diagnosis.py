@@ -75,6 +75,7 @@ def test_what_other_processes_estimate_is_what_this_one_would():
     flown = stretches(windy())
     here, there = (find_terms(flown, ALONE, TILTS, support=s) for s in (None, SearchSupport(side_by_side=elsewhere)))
     assert here.named == there.named != {}
+    assert {t.id for t in TILTS} <= {*there.final.model.terms}  # each model has its own estimate
     assert here.final.values == there.final.values
     assert np.array_equal(here.final.covariance, there.final.covariance)
     assert here.screened == there.screened

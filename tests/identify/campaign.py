@@ -133,12 +133,8 @@ def drawn(
 def flown(responses: Sequence[Drawn]) -> list[Segment]:
     """Their segments; all velocities are integrated side by side, the shorter with nothing behind their end."""
     m, most = len(responses), max(r.t.size for r in responses)
-    rotation, lift, push, f = (
-        np.zeros((most, m, 3, 3)),
-        np.zeros((most, m, 3)),
-        np.zeros((most, m, 3)),
-        np.zeros((most, m, 3)),
-    )
+    rotation = np.zeros((most, m, 3, 3))
+    lift, push, f = (np.zeros((most, m, 3)) for _ in range(3))
     for i, r in enumerate(responses):
         rotation[: r.t.size, i], lift[: r.t.size, i, 2], push[: r.t.size, i] = r.rotation, r.thrust, r.push
     drag, at = np.stack([r.drag for r in responses]), np.stack([r.start for r in responses])

@@ -51,7 +51,7 @@ class Screened:
     nats: float = 0.0
 
 
-Tests = Callable[[Sequence[Segment], FreeFlight, Sequence[Term], int], Iterator[Screened]]
+ScoreTests = Callable[[Sequence[Segment], FreeFlight, Sequence[Term], int], Iterator[Screened]]
 
 
 def seen_by_equations(term: Term, model: Model, part: str) -> bool:
@@ -101,10 +101,11 @@ def screen(
     # A state of unknown start needs a long lead (`motion_equations`), which the others are not to pay for.
     alone = [t for t in linear if any(s.free for s in t.states) and t.id != LATENCY]
     together = [t for t in linear if t not in alone]
-    jobs = [(_linear, some) for some in (together, *([t] for t in alone)) if some]
-    jobs += [(_nonlinear, [t for t in terms if not t.amplitudes])]
+    nonlinear = [t for t in terms if not t.amplitudes]
+    groups = [(_linear, together), *((_linear, [t]) for t in alone), (_nonlinear, nonlinear)]
+    jobs = [(tests, some) for tests, some in groups if some]
 
-    def work(some: Sequence[tuple[Tests, list[Term]]]) -> list[list[Screened]]:
+    def work(some: Sequence[tuple[ScoreTests, list[Term]]]) -> list[list[Screened]]:
         return [list(tests(flown, base, own, rows)) for tests, own in some]
 
     best: dict[str, Screened] = {}

@@ -184,7 +184,9 @@ def _wind_first(found: EquationSearch, asked: ModelEstimates, known: Mapping[str
     if WIND_TERM not in known:
         return
     beside = [t for t in BESIDE_WIND if t in known]
-    asked.ahead([(base.model.with_terms(*some), [base.values]) for some in ((WIND_TERM, *beside), (WIND_TERM,))])
+    asked.estimate_side_by_side(
+        [(base.model.with_terms(*some), [base.values]) for some in ((WIND_TERM, *beside), (WIND_TERM,))]
+    )
     tried = asked.estimate(base.model.with_terms(WIND_TERM, *beside), base.values)
     alone = asked.estimate(base.model.with_terms(WIND_TERM), base.values)
     windy = max(tried, alone, key=lambda one: _score(one, tried))
@@ -192,7 +194,7 @@ def _wind_first(found: EquationSearch, asked: ModelEstimates, known: Mapping[str
     if not drag:
         return
     rest = [base.model.with_terms(*some) for some in _each_and_all(beside)]
-    asked.ahead([(model, [base.values]) for model in rest])
+    asked.estimate_side_by_side([(model, [base.values]) for model in rest])
     without = [base, *(asked.estimate(model, base.values) for model in rest)]
     calm = max(without, key=lambda one: _score(one, tried))
     nats = _score(windy, tried) - _score(calm, tried)
@@ -250,7 +252,7 @@ def _step(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term
     if picks:
         rest = f" and {len(picks) - 1} more" if len(picks) > 1 else ""
         asked.support.progress(f"{PART_IN_WORDS[asked.part]}: estimating with {picks[0].term}{rest}")
-    asked.ahead(tries)
+    asked.estimate_side_by_side(tries)
     for s, (model, from_values) in zip(picks, tries, strict=True):
         try:
             estimated.append((s, asked.estimate(model, *from_values)))

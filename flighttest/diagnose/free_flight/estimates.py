@@ -50,7 +50,7 @@ class ModelEstimates:
             self._known[key] = found
         return self._known[key]
 
-    def ahead(self, tried: Sequence[tuple[Model, Sequence[Mapping[str, float]]]]) -> None:
+    def estimate_side_by_side(self, tried: Sequence[tuple[Model, Sequence[Mapping[str, float]]]]) -> None:
         """Estimate several models side by side, each from its starts, so that `estimate` has them. One that cannot be is left to it."""
 
         def work(some: Sequence[tuple[Model, Sequence[Mapping[str, float]]]]) -> list[FreeFlight | None]:
@@ -62,10 +62,9 @@ class ModelEstimates:
                     found.append(None)
             return found
 
-        made = self.support.side_by_side(work, tried, [len(starts) for _, starts in tried])
-        self._known.update(
-            (self._key(*one), found) for one, found in zip(tried, made, strict=True) if found is not None
-        )
+        new = {key: one for one in tried if (key := self._key(*one)) not in self._known}
+        made = self.support.side_by_side(work, [*new.values()], [len(starts) for _, starts in new.values()])
+        self._known.update((key, found) for key, found in zip(new, made, strict=True) if found is not None)
 
     @staticmethod
     def _key(model: Model, starts: Sequence[Mapping[str, float]]) -> tuple[Model, Any]:
