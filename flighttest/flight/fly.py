@@ -248,12 +248,8 @@ class _Flight:
         self.options.on_vehicle(self.recorder.manifest["firmware"], dict(self._parameters))
         self.notes += preflight.waiver_notes(found, waived)
         preflight.refuse(found, waived)
-        low = preflight.battery_words(situation)
-        if low:
-            self._note(low)
-        far = fence_words(replace(situation, parameters=self._parameters))
-        if far:
-            self._announce(far)
+        self._note(preflight.battery_words(situation))
+        self._announce(fence_words(replace(situation, parameters=self._parameters)))
         self.notes += filter(None, [place_zone(control, self.plan.vehicle.zone)])
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
@@ -274,9 +270,11 @@ class _Flight:
 
     def _mend(self, found: list[Check], waived: frozenset[str]) -> list[Check]:
         assert self._changes is not None
+        # Nothing is set on a vehicle that will not fly: somebody may be flying it.
+        preflight.refuse([check for check in found if not check.set], waived)
         mended = [check for check in found if check.set and check.name not in waived]
         wanted = {name: value for check in mended for name, value in check.set.items()}
-        self._changes.apply(wanted, self._note, self._keep_changed)
+        self._changes.apply(wanted, self._note, self._keep_changed, lambda: self.vehicle.armed)
         self.recorder.manifest["parameters"] = dict(self._parameters)
         self.recorder.save_manifest()
         return [check for check in found if check not in mended]
@@ -322,13 +320,15 @@ class _Flight:
             self._fence.switch_on()
 
     def _note(self, text: str) -> None:
-        self.notes.append(text)
-        self.recorder.event("note", text, self.session.now_s())
+        if text:
+            self.notes.append(text)
+            self.recorder.event("note", text, self.session.now_s())
 
     def _announce(self, text: str) -> None:
-        """Into the record and onto the screen."""
+        """Into the record and onto the screen, where there is a text."""
         self._note(text)
-        self._stage(text)
+        if text:
+            self._stage(text)
 
     def _gate(self) -> GateLimits:
         simulator = preflight.is_simulator(self._parameters)
@@ -377,8 +377,8 @@ class _Flight:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
         self._external_changes.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}
-        if self._fence is not None and (text := self._fence.restore(airborne=self.vehicle.armed)):
-            self._announce(text)
+        if self._fence is not None:
+            self._announce(self._fence.restore(airborne=self.vehicle.armed))
         if self._changes is not None and self._changes.pending:
             self._stage("restoring parameters")
             try:

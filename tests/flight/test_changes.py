@@ -64,7 +64,7 @@ def test_what_has_the_value_that_is_wanted_is_neither_set_nor_restored() -> None
     """Seen: "FENCE_TYPE set from 7 to 7; it is restored after the flight"."""
     said: list[str] = []
     changes = ParameterChanges(Session(MavlinkPort(FaultyLink(options()))), {"FENCE_TYPE": 7.0}, {})
-    changes.apply({"FENCE_TYPE": 7.0}, said.append, lambda _pending: None)
+    changes.apply({"FENCE_TYPE": 7.0}, said.append, lambda _pending: None, lambda: False)
     assert (said, changes.pending) == ([], {})
 
 
@@ -112,6 +112,23 @@ def test_what_was_left_is_only_reported_where_setting_was_not_allowed(
     assert result.parameters_left == {"GUID_OPTIONS": 0.0}
     assert any("set it back by hand, or fly with --set-params" in note for note in result.notes)
     assert left_behind(tmp_path, "paper") == GUID_OPTIONS_LEFT, "the next flight is reported again"
+
+
+def test_nothing_is_set_on_a_vehicle_that_somebody_has_armed(run_dir: Path) -> None:
+    """A pilot flew at 40 m, and a flight that was refused because of that had set FENCE_ALT_MAX to 15 m first: the vehicle left LOITER."""
+    link = FaultyLink(options(parameters={"GUID_OPTIONS": 0.0, "GUID_TIMEOUT": 3.0, "LOG_BITMASK": 0.0}))
+    link.sim.vehicle.armed = True
+    with pytest.raises(PreflightError, match="armed"):
+        fly(make_plan(), "sim", run_dir, transport=link, left_behind={"FS_OPTIONS": LeftParameter(4.0, 0.0)})
+    assert "PARAM_SET" not in [kind for _, kind in link.sent]
+
+
+def test_no_further_parameter_is_set_once_the_vehicle_is_armed() -> None:
+    link = FaultyLink(options())
+    changes = ParameterChanges(Session(MavlinkPort(link)), {"FENCE_TYPE": 7.0}, {})
+    with pytest.raises(PreflightError, match="armed meanwhile"):
+        changes.apply({"FENCE_TYPE": 3.0}, lambda _text: None, lambda _pending: None, lambda: True)
+    assert not link.sent
 
 
 def test_what_was_put_back_meanwhile_is_not_reported(run_dir: Path) -> None:

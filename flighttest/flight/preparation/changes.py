@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from flighttest.errors import LinkError
+from flighttest.errors import LinkError, PreflightError
 from flighttest.flight.preparation.preflight import figure
 from flighttest.link import parameters as params
 from flighttest.link.session import Session
@@ -125,14 +125,17 @@ class ParameterChanges:
         self._known = known
         self._hardware = hardware
         self._before: dict[str, LeftParameter] = dict(inherited)
+        self._own: set[str] = set()  # set in this flight
 
     def apply(
         self,
         wanted: Mapping[str, float],
         note: Callable[[str], None],
         keep: Callable[[Mapping[str, LeftParameter]], None],
+        armed: Callable[[], bool],
     ) -> None:
-        """Set parameters that have another value. LinkError where one does not take.
+        """Set parameters that have another value. LinkError where one does not take, PreflightError once the vehicle is armed: somebody
+        else flies it.
 
         keep: called with what has to be restored before anything is set, so that a program that dies leaves a record of it.
         """
@@ -149,7 +152,10 @@ class ParameterChanges:
             self._before[own[name][0]] = LeftParameter(before.value if before else known, own[name][1], self._hardware)
         keep(self._before)
         for name, value in own.values():
+            if armed():
+                raise PreflightError([("armed: the vehicle was armed meanwhile", "land and disarm it first")])
             was = self._known[name]
+            self._own.add(name)
             params.write_parameter(self._session, name, value, self._known)
             note(f"{name} set from {figure(was)} to {figure(self._known[name])}; it is restored after the flight")
 
@@ -161,15 +167,15 @@ class ParameterChanges:
     def restore(self, airborne: bool = False) -> dict[str, float]:
         """Put everything back, verified; what could not be, with the value it should have, stays pending.
 
-        airborne: the fence stays as it is, since the vehicle is left in the air. A link that is still silent after
-        one of them has been tried is not waited for again.
+        airborne: the fence stays as it is, since the vehicle is left in the air, and so does what an earlier flight set. A link that is
+        still silent after one of them has been tried is not waited for again.
         """
         tried = False
         for name, value in reversed(list(self.pending.items())):
             gone = max(self._session.silence_s, self._session.uplink_silence_s) > _GONE_S
             if self._session.port.muted or (tried and gone):
                 break
-            if airborne and name.startswith("FENCE_"):
+            if airborne and (name.startswith("FENCE_") or name not in self._own):
                 continue
             tried = True
             with contextlib.suppress(LinkError):  # it is reported as left
