@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 
 from flighttest.flight.execution.control import FlightControl
+from flighttest.flight.preparation.preflight import lowest_stick
 from flighttest.flight.preparation.situation import Situation
 from flighttest.plan import Plan
 
@@ -40,12 +41,20 @@ def checklist(plan: Plan, seen: Situation, waived: tuple[str, ...]) -> str:
         ("zone", f"{_span(zone.x_m)} along, {_span(zone.y_m)} across, {_span(zone.z_m)} up, no people"),
         ("battery", f"{voltage}, lands at {plan.limits.voltage_min_v:.1f} V"),
         ("fence", f"{'on' if fence else 'off'}{_fence(seen, zone.fence) if fence else ''}"),
-        ("pilot", "ready, throttle stick at mid, transmitter " + ("heard" if seen.rc_live else "NOT heard")),
-        ("stop", "the mode switch takes over; Ctrl-C lands, Ctrl-C twice stops sending"),
+        ("pilot", f"ready, throttle {_stick(seen)}; transmitter {_heard(seen)}"),
+        ("stop", "the mode switch takes over; Ctrl-C lands, Ctrl-C twice: safe mode"),
     ]
     if waived:
         rows.append(("waived", ", ".join(waived)))
     return "\n".join(f"  {name:8} {words}" for name, words in rows)
+
+
+def _stick(seen: Situation) -> str:
+    return "at mid" if lowest_stick(seen.parameters) is None else "down until armed, then at mid"
+
+
+def _heard(seen: Situation) -> str:
+    return "not asked for" if seen.simulator else "heard" if seen.rc_live else "NOT heard"
 
 
 def _span(ends_m: tuple[float, float]) -> str:

@@ -250,7 +250,7 @@ class _Flight:
         preflight.refuse(found, waived)
         self._note(preflight.battery_words(situation))
         self._announce(fence_words(replace(situation, parameters=self._parameters)))
-        self.notes += filter(None, [place_zone(control, self.plan.vehicle.zone)])
+        self.notes += filter(None, [place_zone(control, self.plan.vehicle.zone, waived)])
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
         self._bring_fence(control, set_params or simulator)

@@ -34,6 +34,12 @@ class Zone:
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return np.stack([c * p[..., 0] - s * p[..., 1], s * p[..., 0] + c * p[..., 1], p[..., 2]], axis=-1)
 
+    def beside_m(self, place: ArrayLike) -> float:
+        """How far a place (zone coordinates, (3,) m) lies outside of the walls over ground, m; 0 inside."""
+        x, y, _ = np.asarray(place, dtype=float)
+        (x0, x1), (y0, y1) = self.x_m, self.y_m
+        return math.hypot(max(x0 - x, x - x1, 0.0), max(y0 - y, y - y1, 0.0))
+
     def from_world(self, point: ArrayLike) -> NDArray[np.float64]:
         """NWU about the zone's origin to zone coordinates: (..., 3) m."""
         p = np.asarray(point, dtype=float)

@@ -14,7 +14,7 @@ from flighttest.mavlink import CopterMode
 from flighttest.pipeline.diagnosis.next_flight import flown_vehicle
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run, read_manifest
-from flighttest.vehicle.model import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Zone
 from tests.flight.faulty import LIMITS, FaultyLink, fly, make_leg, make_plan, options
 
 
@@ -351,6 +351,18 @@ def test_preflight_says_everything_at_once(run_dir: Path) -> None:
     assert link.sim.vehicle.store["GUID_TIMEOUT"] == 3.0, (
         "what was set must be restored when the flight is refused, too"
     )
+
+
+def test_a_vehicle_that_takes_off_outside_of_the_zone_is_refused(run_dir: Path) -> None:
+    """It flew 125 m to a zone beside home, and 500 m would have been accepted where a coordinate was mistyped."""
+    zone = Zone(x_m=(20.0, 50.0), y_m=(-7.5, 7.5), z_m=(1.0, 10.0))
+    plan = make_plan(replace(make_leg(), start_m=(35.0, 0.0, 5.0)))
+    plan = replace(plan, vehicle=replace(plan.vehicle, zone=zone))
+    with pytest.raises(PreflightError, match="20 m outside of the flight zone"):
+        fly(plan, "sim", run_dir, transport=FaultyLink(options()))
+    waived = fly(plan, "sim", run_dir.with_name("again"), transport=FaultyLink(options()), waive=("zone",))
+    assert waived.outcome is FlightOutcome.COMPLETED
+    assert any(note.startswith("waived zone: ") for note in waived.notes)
 
 
 def test_no_vehicle_there(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -69,7 +69,9 @@ REFUSED: list[tuple[str, dict[str, Any], dict[str, float] | None]] = [
     ("rc", {"rc_live": False}, {}),
     ("FS_THR_ENABLE", {"parameters": {"FS_THR_ENABLE": 0.0}}, {}),
     ("FLTMODE_CH", {"parameters": {"FLTMODE_CH": 0.0}}, {}),
-    ("RC_OPTIONS", {"parameters": {"RC_OPTIONS": 33.0}}, {}),
+    ("RC_OPTIONS", {"parameters": {"RC_OPTIONS": 1.0}}, {}),
+    ("stick", {"parameters": {"RC_OPTIONS": 32.0}, "state": {"throttle_stick": 0.5}}, {}),
+    ("stick", {"parameters": {"RC_OPTIONS": 32.0, "RC3_MIN": 1000.0}, "state": {"throttle_stick": 0.1}}, {}),
     ("rates", {"rates": {"HEARTBEAT": 1.0}}, {}),
     ("battery", {"state": {"voltage_v": 21.0}}, {}),
     ("battery", {"state": {"voltage_v": None}}, {}),
@@ -97,6 +99,22 @@ def test_each_fault_is_found_alone_with_its_remedy(
         assert check.set
     else:
         assert check.set == wanted
+
+
+@pytest.mark.parametrize(
+    ("parameters", "stick"),
+    [
+        ({"RC_OPTIONS": 32.0}, 0.1),
+        ({"RC_OPTIONS": 32.0, "RC3_MIN": 1000.0, "RC3_DZ": 120.0}, 0.1),
+        ({"RC_OPTIONS": 32.0, "RCMAP_THROTTLE": 2.0, "RC2_MIN": 1500.0}, 0.5),
+        ({"RC_OPTIONS": 32.0, "PILOT_THR_BHV": 1.0}, 0.5),
+        ({"RC_OPTIONS": 32.0}, None),
+        ({"RC_OPTIONS": 0.0}, 0.5),
+    ],
+)
+def test_a_throttle_stick_with_which_the_vehicle_arms_passes(parameters: dict[str, float], stick: float | None) -> None:
+    """With its default settings ArduCopter refused to arm for a minute while the stick was at mid, as the documentation asked for."""
+    assert found(parameters=parameters, state={"throttle_stick": stick}) == []
 
 
 def test_a_fence_that_the_pilot_has_drawn_is_completed_and_not_widened() -> None:

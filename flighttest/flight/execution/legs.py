@@ -19,6 +19,7 @@ from flighttest.link.ardupilot import UNSHAPED_LAG_S, SentHeading
 from flighttest.plan import AttitudeTarget, Leg
 from flighttest.plan.outer_loop import along
 
+LOOK_S = 0.2  # while the vehicle rests: an operator who stops, or a pilot who arms, is answered within it
 _PHASES = 4  # of the target period: 5 ms at 50 Hz, the tick of the built-in vehicle
 
 
@@ -45,14 +46,18 @@ class AutopilotSettings:
 
 
 def rest(control: FlightControl, leg: Leg) -> LegResult:
-    """Record a leg on the ground with motors off; nothing but its marks is sent."""
+    """Record a leg on the ground with motors off; nothing but its marks is sent. FlightEnded once the pilot arms."""
     begin(control, leg)
     start = control.session.now_s()
     for phase in leg.phases:
         _mark(control, leg, phase.name)
-        control.until(start + phase.end_s)
-    finish(control, leg, LegOutcome.FLOWN)
-    return LegResult(leg.id, LegOutcome.FLOWN)
+        while (now := control.session.now_s()) < start + phase.end_s:
+            control.until(min(now + LOOK_S, start + phase.end_s))
+            if control.vehicle.armed:
+                control.on(Event.ARMED)
+            if control.stop_asked:
+                return finish(control, leg, LegOutcome.STOPPED)
+    return finish(control, leg, LegOutcome.FLOWN)
 
 
 def begin(control: FlightControl, leg: Leg) -> None:

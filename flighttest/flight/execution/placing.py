@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +16,11 @@ from flighttest.vehicle.model import Zone
 FAR_M = 500.0
 
 
-def place_zone(control: FlightControl, zone: Zone) -> str:
-    """Take the zone's origin from home, or from the place that the zone states; a sentence where the vehicle states no home, else ''.
+def place_zone(control: FlightControl, zone: Zone, waived: Collection[str] = ()) -> str:
+    """Take the zone's origin from home, or from the place that the zone states; a sentence where the vehicle states no home, or takes off
+    outside of the zone and that check was waived, else ''.
 
-    Nothing happens without a position. LinkError, PreflightError where the place cannot be known or is far from home.
+    Nothing happens without a position. LinkError, PreflightError where the place cannot be known, is far from home, or home is outside.
     """
     if not control.state.position_ok:
         return ""
@@ -34,8 +36,16 @@ def place_zone(control: FlightControl, zone: Zone) -> str:
         place = control.vehicle.local_m(zone.origin[0], zone.origin[1], origin, float(home[2]))
         if float(np.hypot(*(place - home)[:2])) > FAR_M:
             raise PreflightError([(f"the flight zone is more than {FAR_M:g} m from home", "correct the zone's origin")])
-        home = place
-    _use(control, home)
+    else:
+        place = home
+    beside = zone.beside_m(zone.from_world(home - place))
+    if beside > 0.0:
+        outside = f"zone: home, where it takes off, is {beside:.0f} m outside of the flight zone"
+        if "zone" not in waived:
+            remedy = "carry it into the zone, or correct the zone; --waive zone where the way to it is free and watched"
+            raise PreflightError([(outside, remedy)])
+        text = "; ".join(filter(None, [text, f"waived {outside}"]))
+    _use(control, place)
     control.gate = replace(control.gate, zone_placed=True)
     control.after()
     return text

@@ -26,7 +26,8 @@ _LOG_NEEDED = {
 }
 _FS_CONTINUE_GUIDED = 4
 BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is reported
-_RC_IGNORED = 1
+_RC_IGNORED, _THROTTLE_CHECKED = 1, 1 << 5  # of RC_OPTIONS
+_RESTS_AT_MID = 1  # of PILOT_THR_BHV
 RATE_SHARE = 0.8
 
 RATES_HZ: dict[str, float] = {
@@ -72,6 +73,7 @@ def is_simulator(parameters: Mapping[str, float]) -> bool:
 NAMES = (
     "plan", "vehicles", "frame", "firmware", "GUID_OPTIONS", "GUID_TIMEOUT", "FLTMODE_GCSBLOCK", "SYSID_ENFORCE", "FS_OPTIONS", "rc",
     "FS_THR_ENABLE", "FLTMODE_CH", "RC_OPTIONS", "fence", "LOG_BITMASK", "rates", "battery", "position", "armed", "attitude",
+    "stick", "zone",
 )  # fmt: skip
 
 
@@ -268,6 +270,16 @@ def _data(s: Situation) -> list[Check]:
     return found
 
 
+def lowest_stick(parameters: Mapping[str, float]) -> float | None:
+    """The highest place of the throttle stick, 0..1, in which ArduCopter arms; None where any will do (arming_check_throttle)."""
+    behaviour, options = (int(parameters.get(n, 0.0)) for n in ("PILOT_THR_BHV", "RC_OPTIONS"))
+    if behaviour & _RESTS_AT_MID or not options & _THROTTLE_CHECKED:
+        return None
+    channel = int(parameters.get("RCMAP_THROTTLE", 3))
+    low_us = parameters.get(f"RC{channel}_MIN", 1100.0) + parameters.get(f"RC{channel}_DZ", 30.0)
+    return (low_us - 1000.0) / 1000.0
+
+
 def _readiness(s: Situation) -> list[Check]:
     found = []
     limit = s.plan.limits.voltage_min_v
@@ -288,6 +300,13 @@ def _readiness(s: Situation) -> list[Check]:
         )
     if s.state.armed:
         found.append(Check("armed", "the vehicle is armed already", "land and disarm it first"))
+    low = lowest_stick(s.parameters)
+    if low is not None and s.state.throttle_stick is not None and s.state.throttle_stick > low:
+        what = (
+            "the throttle stick is not down, and ArduCopter does not arm then (PILOT_THR_BHV bit 0, RC_OPTIONS bit 5)"
+        )
+        remedy = "lower it until the vehicle is armed, then bring it to mid; PILOT_THR_BHV 1 is for a stick that rests at mid"
+        found.append(Check("stick", what, remedy))
     if s.state.attitude_rad is None:
         found.append(Check("attitude", "no attitude is reported", "check the link"))
     elif (s.state.tilt_rad or 0.0) > 0.35:

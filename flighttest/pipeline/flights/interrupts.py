@@ -8,20 +8,21 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-STOPPING = "Ctrl-C: stopping; a vehicle in the air is made safe and lands (again: stops sending at once)"
-SENDING_ENDS = "Ctrl-C again: nothing is sent any more; the pilot has control"
+STOPPING = "Ctrl-C: stopping; a vehicle in the air is made safe and lands (again: it is left in its safe mode at once)"
+LEAVING = "Ctrl-C again: no step is flown any more; take a vehicle in the air over with the mode switch"
 _ANEW = "\r\x1b[2K"  # to the beginning of the terminal's line, and erase it
 
 
 @contextmanager
 def counted_interrupts() -> Iterator[Callable[[], int]]:
-    """While this is open, Ctrl-C is counted instead of raised: once lands, twice stops sending. A closed terminal or a shutdown lands."""
+    """While this is open, Ctrl-C is counted instead of raised: once lands, twice leaves a vehicle in the air in its safe mode. A closed
+    terminal or a shutdown lands."""
     presses = 0
 
     def count(_signal: int, _frame: object) -> None:
         nonlocal presses
         presses += 1
-        _answer(STOPPING if presses == 1 else SENDING_ENDS)
+        _answer(STOPPING if presses == 1 else LEAVING)
 
     def end(_signal: int, _frame: object) -> None:
         nonlocal presses
