@@ -18,7 +18,7 @@ from flighttest.plan.rehearse import Rehearsal, reaction_s
 from flighttest.plan.remedy import remedy
 from flighttest.script.model import Script
 from flighttest.script.profiles import PROFILES, Piece, StepCell, Timeline
-from flighttest.vehicle.model import Vehicle
+from flighttest.vehicle.model import Vehicle, Zone
 
 # The paper flew from 24.5 V down to 21.5 V on a battery of 22.2 V nominal: what a script that states no voltages may meet.
 FULL_SHARE, EMPTY_SHARE = 24.5 / 22.2, 21.5 / 22.2
@@ -85,7 +85,7 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
         reset=script.reset,
         rate_hz=script.rate_hz,
         refusals=refusals,
-        notes=_notes(fitted, fenced, script, setting),
+        notes=(*_notes(fitted, fenced, script, setting), *_home(zone)),
         cells=tuple(
             _cell_plan(f, places[i][0], setting, stops.get(i, ()), sum(slot.cell == i for slot in slots))
             for i, f in enumerate(fitted)
@@ -263,11 +263,14 @@ def _wrap(angle_rad: float) -> float:
 def _cell_plan(
     f: FittedCell, placement: Placement, setting: Setting, stops: tuple[tuple[str, float, float], ...], legs: int
 ) -> CellPlan:
+    # A path lies in the zone, all others about their start.
+    about = np.asarray(placement.start_m if f.cell.waypoints else (0.0, 0.0, 0.0))
+
     def corner(values: object) -> tuple[float, float, float]:
-        x, y, z = np.asarray(values, dtype=float)
+        x, y, z = np.asarray(values, dtype=float) - about
         return float(x), float(y), float(z)
 
-    low, high = box(f.nominal) if f.nominal else (np.zeros(3), np.zeros(3))
+    low, high = box(f.nominal) if f.nominal else (about, about)
     lost_low, lost_high = box(f.lost) if f.lost else (low, high)
     return CellPlan(
         label=f.cell.label,
@@ -302,3 +305,9 @@ def _notes(fitted: Sequence[FittedCell], fenced: int, script: Script, setting: S
     if bool(np.any(to < setting.clearance.inner_low - 1e-9) or np.any(to > setting.clearance.inner_high + 1e-9)):
         notes.append("reset.to lies outside the zone or its margin: each step starts as near to it as it fits")
     return tuple(notes)
+
+
+def _home(zone: Zone) -> tuple[str, ...]:
+    beside = zone.beside_m((0.0, 0.0, 0.0)) if zone.origin is None else 0.0
+    words = f"home, where it takes off, is {beside:.0f} m outside of the flight zone: `run` refuses that unless `zone` is waived"
+    return (words,) if beside > 0.0 else ()

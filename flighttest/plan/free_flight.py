@@ -43,6 +43,13 @@ def _fitted(f: FittedCell, flown: Sequence[Track], setting: Setting) -> FittedCe
     ]
     speed = float(np.linalg.norm(tracks[0].v_m_s, axis=1).max())
     found = replace(f, nominal=tracks[:1], lost=tracks[1:], speed_m_s=speed)
+    pace = float(f.cell.values["speed_m_s"])
+    if pace > setting.speed_max_m_s:  # it would turn back long before the waypoints, and never be that fast
+        return replace(
+            found,
+            complaint=f"its pace of {pace:g} m/s is above speed_max_m_s {setting.speed_max_m_s:g}",
+            remedy="lower speed_m_s, or raise the limit",
+        )
     if speed > setting.speed_max_m_s:
         return replace(
             found,

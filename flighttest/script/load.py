@@ -46,6 +46,8 @@ PARAMETERS = (
 )
 # A script that holds 50 000 responses would take a month to fly: it is a slip of the pen.
 MAX_RESPONSES = 5000
+LEAST_RATE_HZ = 20.0  # of targets: with GUID_TIMEOUT 0.2 s the vehicle levels after three that are lost
+LEAST_TARGETS = 4  # in a period of what a step asks for
 
 T = TypeVar("T")
 
@@ -92,13 +94,15 @@ class _Reader:
         limits = self._limits()
         steps = self._steps(unit)
         repeat = self._repeat()
+        rate_hz = self._get(self.fields, "rate_hz", lambda n: doc.number(n, LEAST_RATE_HZ, 400.0, "Hz"), 50.0)
         self._cross_check(steps, limits, unit, repeat)
+        self._sampled(steps, rate_hz)
         return Script(
             name=name,
             doc=self._get(self.fields, "doc", doc.text, ""),
             identifies=self._identifies(),
             mode=self._get(self.fields, "mode", self._mode, MODE),
-            rate_hz=self._get(self.fields, "rate_hz", lambda n: doc.number(n, 5.0, 400.0, "Hz"), 50.0),
+            rate_hz=rate_hz,
             throttle_unit=unit,
             limits=limits,
             reset=self._reset(),
@@ -329,6 +333,17 @@ class _Reader:
             doc.problem(
                 1, "steps", f"{responses} responses are more than {MAX_RESPONSES}", "fewer settings, or fewer repeats"
             )
+
+    def _sampled(self, steps: list[tuple[Maneuver, Node]], rate_hz: float) -> None:
+        """What is too quick for the targets that are sent: a sine held for a quarter of its period has 0.90 of its amplitude."""
+        for maneuver, node in steps:
+            highest, unit_s = maneuver.settings.get("to_hz"), maneuver.settings.get("unit_s")
+            if highest is not None and LEAST_TARGETS * highest > rate_hz:
+                what = f"{highest:g} Hz have {rate_hz / highest:.1f} targets a period at rate_hz {rate_hz:g}, fewer than {LEAST_TARGETS}"
+                self.document.wrong(_child(node, "to_hz"), what, "lower to_hz, or raise rate_hz")
+            if unit_s is not None and 2.0 * unit_s * rate_hz < LEAST_TARGETS:
+                what = f"{unit_s:g} s are shorter than {LEAST_TARGETS // 2} targets at rate_hz {rate_hz:g}"
+                self.document.wrong(_child(node, "unit_s"), what, "raise unit_s or rate_hz")
 
 
 def _in_degrees(key: str) -> str:

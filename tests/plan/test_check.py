@@ -3,10 +3,11 @@ from dataclasses import replace
 import pytest
 
 from flighttest.frames import G_M_S2
-from flighttest.plan import check
+from flighttest.plan import check, compile_plan
 from flighttest.plan.check import battery_need
+from flighttest.script.load import parse_script
 from flighttest.script.shipped import shipped_names
-from flighttest.vehicle.model import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Zone
 
 
 def test_a_spot_check_takes_under_two_minutes_in_the_air(planned):
@@ -40,6 +41,27 @@ def test_a_hover_stays_above_the_floor_with_a_throttle_that_is_a_little_low(plan
     for leg in hovers:
         sunk = 0.5 * HOVER_ERROR * G_M_S2 * leg.duration_s**2
         assert leg.start_m[2] - sunk > floor, leg.id
+
+
+def test_a_path_is_where_its_waypoints_are(predictor):
+    """Its height was counted twice: 10 m for a path at 5 m, and 41 m of way from the start for one of 16 m."""
+    flown = "free_flight: {waypoints: [[-8, 0, 5], [8, 0, 5]], speed_m_s: 2}"
+    script = parse_script(f"format: maneuver/1\nname: path\nsteps:\n  - {flown}\n")
+    vehicle = replace(DEFAULT_VEHICLE, zone=Zone(x_m=(-30, 30), y_m=(-30, 30), z_m=(1, 12)))
+    (row,) = check(compile_plan(script, vehicle, predictor)).envelope
+    assert row.height_m == pytest.approx((5.0, 5.0), abs=0.3)
+    assert row.far_m == pytest.approx(16.0, abs=1.0)
+    assert row.lost_height_m[1] < 12.0
+    script = parse_script(f"format: maneuver/1\nname: path\nsteps:\n  - {flown.replace('2}', '9}')}\n")
+    (refused,) = compile_plan(script, vehicle, predictor).refusals
+    assert "its pace of 9 m/s is above speed_max_m_s 8" in refused[1]
+
+
+def test_a_home_outside_of_the_zone_is_reported(predictor):
+    script = parse_script("format: maneuver/1\nname: rest\nreset: {to: [30, 0, 5]}\nsteps:\n  - rest\n")
+    for x_m, noted in (((20.0, 50.0), True), ((-20.0, 50.0), False)):
+        vehicle = replace(DEFAULT_VEHICLE, zone=Zone(x_m=x_m))
+        assert any("is 20 m outside" in note for note in compile_plan(script, vehicle, predictor).notes) is noted
 
 
 def test_yaw_says_left_and_right(planned):

@@ -64,7 +64,7 @@ def test_the_example_of_the_formats_page():
         ("format: maneuver/1\n", "", 1, "format", "does not state", "format: maneuver/1"),
         ("rate_hz", "rate_Hz", 6, "rate_Hz", "unknown key", "`rate_hz`"),
         ("rate_hz: 50", "rate_hz: .nan", 6, "rate_hz", "not a finite", ""),
-        ("rate_hz: 50", "rate_hz: 50000", 6, "rate_hz", "outside 5 to 400", ""),
+        ("rate_hz: 50", "rate_hz: 50000", 6, "rate_hz", "outside 20 to 400", ""),
         ("rate_hz: 50", "rate_hz: 50 Hz", 6, "rate_hz", "expected a number", "the number alone, in Hz"),
         ("mode: GUIDED_NOGPS", "mode: GUIDED_NOGSP", 5, "mode", "GUIDED_NOGPS only", "write `mode: GUIDED_NOGPS`"),
         ("mode: GUIDED_NOGPS", "mode: OFFBOARD", 5, "mode", "found `OFFBOARD`", "write `mode: GUIDED_NOGPS`"),
@@ -132,6 +132,20 @@ def test_a_tilt_above_the_scripts_own_limit():
     (found,) = problems(text)
     assert "tilt_target_max_deg 35" in found.what
     assert found.line == 4
+
+
+@pytest.mark.parametrize(
+    ("flown", "path"),
+    [
+        ("chirp: {input: roll, amplitude_rad: 0.1, from_hz: 1, to_hz: 10, duration_s: 5}", "steps[0].chirp.to_hz"),
+        ("3-2-1-1: {axis: roll, amplitude_rad: 0.1, unit_s: 0.05}", "steps[0].3-2-1-1.unit_s"),
+    ],
+)
+def test_what_its_own_targets_are_too_few_for_is_refused(flown, path):
+    """At 5 Hz a 3-2-1-1 of 0.05 s left as one step to each side, and a chirp to 5 Hz as one that died away."""
+    text = step(flown).replace("format: maneuver/1\n", "format: maneuver/1\nrate_hz: 40\n", 1)
+    assert parse_script(text).rate_hz == 40.0
+    assert [p.path for p in problems(text.replace("40", "39"))] == [path]
 
 
 def test_a_missing_setting_says_what_it_is():

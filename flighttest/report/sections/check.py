@@ -28,7 +28,8 @@ def check_document(results: Sequence[CheckResult], facts: Mapping[str, str], *, 
 
 
 def _section(result: CheckResult, verbose: bool) -> Section:
-    lead = f"{result.doc}; {result.legs} steps, {duration(result.duration_s)}. Battery: {result.battery.sentence}."
+    steps = f"{result.legs} step{'s' if result.legs != 1 else ''}, {duration(result.duration_s)}"
+    lead = f"{'; '.join(filter(None, [result.doc, steps]))}. Battery: {result.battery.sentence}."
     blocks: list[PageBlock] = []
     if result.refusals:
         blocks.append(Bullets(_refusals(result)))
