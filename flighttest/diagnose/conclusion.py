@@ -107,7 +107,11 @@ def _larger(ratio: float) -> str:
 
 def different_delays(table: Mapping[str, ParameterRow]) -> list[str]:
     """Channel delays that differ: the model has one per channel, so this needs no term."""
-    known = {n: (float(table[n]["value"]), float(table[n]["scatter"])) for n in DELAY_PARAM.values() if n in table}
+    known = {
+        n: (float(table[n]["value"]), float(table[n]["scatter"]))
+        for n in DELAY_PARAM.values()
+        if n in table and not table[n].get("at_bound")
+    }
     if len(known) < 2:
         return []
     (late, (most, most_std)), (early, (least, least_std)) = (

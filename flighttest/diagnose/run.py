@@ -23,6 +23,7 @@ from flighttest.identify.fit import Fit, default_model, fit, has_attitude_refere
 from flighttest.identify.free_flight import parts_by_prediction_errors
 from flighttest.identify.free_flight.equation_fit import LOOPS
 from flighttest.identify.free_flight.winds import WIND_TERM, still_air
+from flighttest.identify.selection import problem_of
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -69,6 +70,7 @@ def diagnose(
         model = default_model(usable)
     if model.attitude_loops and not has_attitude_references(usable):
         model = replace(model, attitude_loops=False)
+    problem_of(usable, model, select="all")  # FitError where nothing feeds any part of the model
     begun = _begun(usable, _Request(model, previous or {}, weather or {}, only, support))
     answers = [begun.sensors, *_searched(begun)]
     if not any(type(a) is not PartAnswer for a in answers):

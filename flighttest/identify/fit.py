@@ -280,11 +280,11 @@ def _estimates(
             scatter,
         )  # fmt: skip
     if "T_d" not in found:
-        found["T_d"] = _mean_delay(found, covariance)
+        found["T_d"] = mean_delay(found, covariance)
     return found
 
 
-def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estimate:
+def mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estimate:
     """The paper's single delay: the mean of the channels' that were estimated."""
     names = [n for n in DELAY_PARAM.values() if n in found and found[n].source == "fit" and n in covariance.names]
     if not names:
@@ -322,7 +322,7 @@ def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estima
         "s",
         value,
         std,
-        (value - half, value + half),
+        (max(value - half, DELAY.lower), min(value + half, DELAY.upper)),
         "derived",
         known.identifiable,
         why,

@@ -176,6 +176,8 @@ def _bias(stretches: Sequence[_Stretch], found: FloatArray) -> AccelerometerBias
     value = inverse @ target
     scores = moment - gram @ value
     spread = inverse @ (scores.T @ scores) @ inverse * count / (count - 2)
+    if not np.linalg.eigvalsh(spread)[0] > 0.0:
+        return None  # sensors that are stuck show no error
     others = np.einsum("sij,sj->si", np.linalg.pinv(whole - gram, hermitian=True), target - moment)
     left = asked - np.einsum("sij,sj->si", turned, others)
     errors = zip(np.sum(asked**2, axis=1).tolist(), np.sum(left**2, axis=1).tolist(), strict=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError
+from flighttest.identify.models.export import error_covariance
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.identify.validation.ablations import OpenLoopStart, measured_channels, open_loop, voltage_for
 from flighttest.identify.validation.validate import comparable, joined_windows
@@ -72,7 +73,7 @@ def replay(stored: ModelFile, segments: Sequence[Segment], change: WhatIf, seed:
     known = [n for n in stored.order if n in at]
     if known:
         pick = [stored.order.index(n) for n in known]
-        matrix = stored.covariance[np.ix_(pick, pick)]
+        matrix = error_covariance(stored)[np.ix_(pick, pick)]
         made = np.random.default_rng(seed).multivariate_normal(
             np.zeros(len(known)), matrix, DRAWS, check_valid="ignore"
         )

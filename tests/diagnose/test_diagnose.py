@@ -318,3 +318,10 @@ def test_what_every_accelerometer_drifts_by_is_neither_named_nor_missing():
     ):
         assert low < true < high
         assert high - low > 0.19  # the drift, both ways
+
+
+def test_sensors_that_are_stuck_are_refused_in_words():
+    """Tables of one and the same row ended in "Singular matrix", or where references moved in "need at least one array to concatenate"."""
+    stuck = [replace(s, y={n: np.full_like(v, 0.5) for n, v in s.y.items()}) for s in tilts()]
+    with pytest.raises(FitError, match="never change"):
+        diagnose(stuck)

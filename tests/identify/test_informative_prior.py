@@ -1,5 +1,7 @@
 """A model that a short flight was held against keeps what the flight could not determine."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from flighttest.identify.models.informative_prior import carry_over, known_befor
 
 def test_what_a_yaw_flight_does_not_tell_stays_as_it_was(found, flown, tmp_path):
     base = model_file.from_fit(found)
-    turns = [s for s in flown if s.kind == "yaw_rate_step"]
+    turns = [replace(s, run="another flight") for s in flown if s.kind == "yaw_rate_step"]
     assert known_before(fit(turns, found.model), None) == {}
     names = known_before(fit(turns, found.model), base)
     assert {"omega_phi", "zeta_theta", "d_x", "T_d_thrust"} <= set(names)
@@ -32,3 +34,19 @@ def test_what_a_yaw_flight_does_not_tell_stays_as_it_was(found, flown, tmp_path)
     assert stored.parameters["T_d"].value == pytest.approx(np.mean(delays), rel=1e-5)
     assert any("as the base model has them" in note for note in stored.notes)
     assert np.linalg.eigvalsh(stored.covariance).min() > -1e-9
+
+
+def test_a_model_of_these_very_flights_adds_nothing(found, flown):
+    """Held at the values of a fit to the same log, a diagnosis' model lost what it had found, and predicted worse than the base."""
+    turns = fit([s for s in flown if s.kind == "yaw_rate_step"], found.model)
+    base = model_file.from_fit(found)
+    assert known_before(turns, base) == {}
+    assert "d_x" in known_before(turns, replace(base, runs=(*base.runs, "another flight")))
+
+
+def test_what_absorbs_a_term_is_not_kept_from_a_model_without_it(found, flown):
+    base = replace(model_file.from_fit(found), runs=("another flight",))
+    turns = fit([s for s in flown if s.kind == "yaw_rate_step"], found.model + "quadratic_drag")
+    names = known_before(turns, base)
+    assert "omega_phi" in names
+    assert not {"d_x", "d_y"} & set(names)

@@ -200,7 +200,8 @@ def test_a_clock_that_stepped_back_in_flight_makes_no_steps_of_the_pieces(tmp_pa
     [
         ({"roll_rad": [0.0, 1.0]}, "no time"),
         ({"time": [0.0, 1.0], "x": [1.0, 2.0]}, "no column of this table is a channel"),
-        ({"t_s": [1.0, 1.0], "roll_rad": [0.0, 1.0]}, "usable values, too few"),
+        ({"t_s": [1.0, 1.0], "roll_rad": [0.0, 1.0]}, "time stamps are the same"),
+        ({"t_s": [1.0, None], "roll_rad": [0.0, 1.0]}, "usable values, too few"),
         ({"t_s": [0.0, 1.0], "roll_rad": ["a", "b"]}, "holds no numbers"),
         ({"t_s": [0.0, 1.0], "roll_rad": ["[1, 2]", "[1, 2]"]}, "name one cell"),
         ({"t_s": [0.0, 1.0], "voltage_v": [0.0, 1.0]}, "neither attitude nor"),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight.execution.control import FlightControl
+from flighttest.flight.preparation import preflight
 from flighttest.mavlink.dialect import dialect
 from flighttest.vehicle.model import Zone
 
@@ -38,13 +39,9 @@ def place_zone(control: FlightControl, zone: Zone, waived: Collection[str] = ())
             raise PreflightError([(f"the flight zone is more than {FAR_M:g} m from home", "correct the zone's origin")])
     else:
         place = home
-    beside = zone.beside_m(zone.from_world(home - place))
-    if beside > 0.0:
-        outside = f"zone: home, where it takes off, is {beside:.0f} m outside of the flight zone"
-        if "zone" not in waived:
-            remedy = "carry it into the zone, or correct the zone; --waive zone where the way to it is free and watched"
-            raise PreflightError([(outside, remedy)])
-        text = "; ".join(filter(None, [text, f"waived {outside}"]))
+    found = preflight.home_checks(zone.beside_m(zone.from_world(home - place)))
+    preflight.refuse(found, waived)
+    text = "; ".join(filter(None, [text, *preflight.waiver_notes(found, waived)]))
     _use(control, place)
     control.gate = replace(control.gate, zone_placed=True)
     control.after()

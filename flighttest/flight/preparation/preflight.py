@@ -314,6 +314,15 @@ def _readiness(s: Situation) -> list[Check]:
     return found
 
 
+def home_checks(beside_m: float) -> list[Check]:
+    """beside_m: how far home lies outside of the zone's walls, m."""
+    if not beside_m > 0.0:
+        return []
+    what = f"home, where it takes off, is {beside_m:.0f} m outside of the flight zone"
+    remedy = "carry it into the zone, or correct the zone; --waive zone where the way to it is free and watched"
+    return [Check("zone", what, remedy)]
+
+
 _MULTICOPTERS = frozenset(
     {
         dialect.MAV_TYPE_QUADROTOR, dialect.MAV_TYPE_HEXAROTOR, dialect.MAV_TYPE_OCTOROTOR, dialect.MAV_TYPE_TRICOPTER,

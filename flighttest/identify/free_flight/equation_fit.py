@@ -13,7 +13,7 @@ from flighttest.estimation.linearisation import FloatArray
 from flighttest.estimation.solver import Start, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
 from flighttest.identify.diagnostics.identifiability import Estimated, judge
-from flighttest.identify.fit import Estimate, Fit, fit, has_attitude_references
+from flighttest.identify.fit import Estimate, Fit, fit, has_attitude_references, mean_delay
 from flighttest.identify.free_flight.estimate import determined, estimate
 from flighttest.identify.free_flight.estimated import HeldEstimate
 from flighttest.identify.free_flight.stretches import stretches
@@ -79,6 +79,8 @@ def fit_of_estimates(
     made = fit(windows, model, select="all", start=start, frozen={**held, **(frozen or {})}, robust=False)
     for one in found:
         made = _with_errors(made, one)
+    if "T_d" in made.estimates and "T_d" not in model.param:
+        made = replace(made, estimates={**made.estimates, "T_d": mean_delay(made.estimates, made.covariance)})
     return made
 
 

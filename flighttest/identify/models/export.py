@@ -11,11 +11,14 @@ from typing import Any, Literal, TypedDict
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from flighttest.identify.models.model_blocks import ValidBlock
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.simulate import rk4
 from flighttest.version import __version__
+
+FloatArray = NDArray[np.float64]
 
 ExportKind = Literal["casadi", "c", "json"]
 JACOBIANS = ("step_A", "step_B")
@@ -123,7 +126,7 @@ def description(stored: ModelFile) -> ExportData:
         "states": [{"name": n, "unit": unit} for n, unit in system.states.items()],
         "inputs": [{"name": n, "unit": unit} for n, unit in system.inputs.items()],
         "parameters": parameters,
-        "covariance": {"order": list(stored.order), "matrix": stored.covariance.tolist()},
+        "covariance": {"order": list(stored.order), "matrix": error_covariance(stored).tolist()},
         "sensitivity_order": known_order(stored),
         "delays_s": {n: delays.get(c, 0.0) for n, c in system.input_delay.items()},
         "valid": stored.valid,
@@ -131,6 +134,15 @@ def description(stored: ModelFile) -> ExportData:
         "frames": {"world": "NWU", "body": "FLU"},
         "hover": {"x": hover_state(stored).tolist(), "u": hover_input(stored).tolist()},
     }
+
+
+def error_covariance(stored: ModelFile) -> FloatArray:
+    """(k, k) over `stored.order`, of the errors of the values: that of model.yaml, which is of the scatter between cells alone, with the
+    standard error of each parameter, which holds what the equations may err."""
+    scatter = np.sqrt(np.diag(stored.covariance))
+    std = [p.std if (p := stored.parameters.get(n)) is not None and p.std else 0.0 for n in stored.order]
+    wider = np.maximum(np.array(std) / np.where(scatter > 0.0, scatter, np.inf), 1.0)
+    return np.asarray(stored.covariance * np.outer(wider, wider))
 
 
 def hover_state(stored: ModelFile) -> Any:

@@ -142,7 +142,12 @@ def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
             "add a column t_s, map one (t_s: {from: ...}), or give rate_hz in the column map",
         )
     finite = t_s[np.isfinite(t_s)]
-    if finite.size < 2 or float(np.ptp(finite)) <= 0:
+    if finite.size > 1 and float(np.ptp(finite)) <= 0:
+        raise RecordingError(
+            f"{path}: all {finite.size} time stamps are the same ({finite[0]:g})",
+            "map the column that counts time, or give rate_hz in the column map",
+        )
+    if finite.size < 2:
         raise RecordingError(
             f"{path}: column t_s has {finite.size} usable values, too few for a recording", "check the column map"
         )

@@ -96,7 +96,7 @@ def analyse(
             model_file.write(folder / FIT_NAME, model)
         data["model"] = model
     progress.stage("writing the report")
-    view = fit_view(found.fit, found.segments) if found.fit is not None else None
+    view = fit_view(found.own, found.segments) if found.own is not None else None
     page = _page(found, view, landed)
     for folder in folders:
         html.write_html(page, folder / REPORT_NAME)
@@ -209,7 +209,7 @@ def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
 
 
 def _page(found: Analysis, view: FitView | None, landed: Landed) -> Document:
-    verdict, tone = _verdict(found, fit_view(found.own, found.segments) if found.own is not None else None)
+    verdict, tone = _verdict(found, view)
     extra: list[Section] = []
     if landed.notes:
         extra.append(Section("flight", "Notes of the flight", (Bullets(tuple(landed.notes)),)))
@@ -238,8 +238,7 @@ def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Docume
         sections += status_document(found.validity, {}, rows, brief=True).sections
     elif view is not None:
         better = found.improved is not None and bool((found.diagnosis or {}).get("findings"))
-        shown = fit_view(found.improved, found.segments) if found.improved is not None and better else view
-        made = fit_sections.parameter_section(shown)
+        made = fit_sections.parameter_section(view)
         sections.append(replace(made, title="Parameters of the improved model") if better else made)
     else:
         sections.append(fit_sections.segments(segment_views(found.segments)))

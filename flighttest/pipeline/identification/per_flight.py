@@ -14,7 +14,7 @@ from flighttest.identify.motor_shares import FEWEST, REPEATS, SHOWS, motor_share
 from flighttest.physics.model import Model
 from flighttest.recording import Recording
 from flighttest.report.document import Cell, Paragraph, Section, Table
-from flighttest.report.numbers import join
+from flighttest.report.numbers import join, number
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.diagnosis import winds_table
 from flighttest.segments import Segment
@@ -71,12 +71,13 @@ def wind_section(
 def _section(found: Winds) -> Section:
     fit = found.fit
     drag = [
-        f"{n} {fit.values[n]:.2f} ± {1.96 * fit.std[n]:.2f} 1/s"
+        f"{n} {number(fit.values[n], 3)} ± {number(1.96 * fit.std[n], 2)} 1/s"
         + (f" (flights differ by {fit.spread[n]:.2f})" if n in fit.spread else "")
         for n in ("d_x", "d_y", "d_z")
         if n in fit.std
     ]
-    notes = [f"Drag is the same in all flights: {join(drag)}. Intervals of 95 % hold what flights differ by."]
+    words = f"Estimated beside one drag for all flights, as an equation of motion of the free flight: {join(drag)}."
+    notes = [f"{words} Intervals of 95 % hold what flights differ by."]
     if not found.turned:
         known = (
             f"flights declared still (within {STILL_STD_M_S:g} m/s) distinguish them"

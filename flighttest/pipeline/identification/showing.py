@@ -208,7 +208,7 @@ def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
     doubts = []
     if worst is not None and worst.lost > 0.02:
         group = GROUP_WORDS.get(worst.group, worst.group.replace("_", " "))
-        doubts.append(f"no {group} was recorded for {100 * worst.lost:.0f} % of the time")
+        doubts.append(f"samples of {group} are missing for {100 * worst.lost:.0f} % of the time")
     if recording.provenance.losses:
         count = len(recording.provenance.losses)
         doubts.append(f"reading the log gave {count} remark{'s' if count > 1 else ''} (listed under its health)")

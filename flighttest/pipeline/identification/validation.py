@@ -159,7 +159,7 @@ def _verdict(found: Validation) -> tuple[str, Tone]:
     tone: Tone = "warn" if few else "good"
     head = f"After {at:g} s the {group} error of the model is {mine:.3g} {units} (RMS{', ' if few else ''}{few})"
     if worse:
-        return f"{head}; that of the simplification {join(worse)} is smaller on this flight.", "warn"
+        return f"{head}; that of a simplification ({join(worse)}) is smaller on this flight.", "warn"
     if not better:
         return f"{head}.", tone
     if len(better) <= 2:

@@ -97,7 +97,9 @@ def _located(data: DiagnosisData) -> Section:
 
 def _sentence(text: str) -> str:
     text = _squares(text)
-    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+    first = text.partition(" ")[0]
+    named = "_" in first or first.endswith(":")  # a channel, a parameter or a term, which is written as it is
+    return (text if named else text[:1].upper() + text[1:]) + ("" if text.endswith(".") else ".")
 
 
 def _squares(text: str) -> str:
@@ -259,7 +261,8 @@ def _limits(data: DiagnosisData) -> Section:
     candidates = [c for c in data.get("candidates") or () if c.get("verdict") == "NOT_NEEDED"]
     not_needed = [str(t) for t in data.get("not_needed") or ()]
     if not_needed:
-        brief = f"{len(not_needed)} effects of the catalogue were looked for and are not needed."
+        effects = "1 effect" if len(not_needed) == 1 else f"{len(not_needed)} effects"
+        brief = f"Looked for and not needed: {effects} of the catalogue."
         blocks.append(Bullets((f"Looked for and not needed: {', '.join(not_needed)}.",), brief))
     if candidates:
         rows = tuple(

@@ -262,8 +262,8 @@ def replay_sections(data: ReplayData, shown: Sequence[StretchData]) -> tuple[Sec
     )
     columns = ("channel", "unit", "error", "mean change", "change", "uncertainty")
     table = Table(columns, tuple(rows), ("left", "left", "right", "right", "right", "right"), caption)
-    lead = "; ".join(data["changes"]) or "the twin as identified"
-    found = [Section("effects", "Recorded commands on the twin", (table,), f"{lead[:1].upper()}{lead[1:]}.")]
+    lead = "; ".join(data["changes"]) or "The twin as identified"
+    found = [Section("effects", "Recorded commands on the twin", (table,), f"{lead}.")]
     figure = _stretches(data, shown)
     return (Section("stretches", "Where it shows most", (figure,)), *found) if figure is not None else tuple(found)
 
