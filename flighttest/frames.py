@@ -102,6 +102,15 @@ def rotation_from_euler(rpy: ArrayLike) -> FloatArray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def euler_rates_from_body(rpy: ArrayLike, rates: ArrayLike) -> FloatArray:
+    """(..., 3) rates of roll, pitch and yaw, rad/s, from these angles, rad, and body rates p, q, r, rad/s."""
+    (roll, pitch, _), (p, q, r) = (np.moveaxis(np.asarray(x, dtype=float), -1, 0) for x in (rpy, rates))
+    turning = np.sin(roll) * q + np.cos(roll) * r
+    return np.stack(
+        [p + np.tan(pitch) * turning, np.cos(roll) * q - np.sin(roll) * r, turning / np.cos(pitch)], axis=-1
+    )
+
+
 def wrap_angle(angle_rad: Any) -> Any:
     """The same angle in [-pi, pi): float to float, array to array."""
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi

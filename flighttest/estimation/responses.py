@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, HELD_GROUPS
-from flighttest.estimation.voltage_interpolation import between_samples
+from flighttest.estimation.interpolation import angles_between_samples, between_samples, filled
 from flighttest.physics.blocks import TRIMMED, Block
 from flighttest.segments.model import Segment
 
@@ -27,7 +27,7 @@ _BUCKETS = (32, 48, 64, 96, 128, 160, 208, 256, 320, 416, 512, 640, 832, 1024)
 NO_GROUND_M = 1e3  # height where none was recorded: no ground effect
 _ATTITUDE = frozenset({"roll_rad", "pitch_rad", "target_roll_rad", "target_pitch_rad"})
 _TURNING = frozenset(f"{axis}{unit}" for axis in "pqr" for unit in ("_rad_s", "_dot_rad_s2"))
-_ANGLES = frozenset({"roll_rad", "pitch_rad", "yaw_rad"})
+_ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 HORIZONTAL = frozenset({"f_x_m_s2", "f_y_m_s2", "v_x_m_s", "v_y_m_s", "a_x_m_s2", "a_y_m_s2"})
 # How far an initial state may lie from its measurement, and from zero where it is not measured.
 _START_STD = {
@@ -57,16 +57,6 @@ class Response:
 def attitude_is_known(segment: Segment) -> bool:
     """Whether roll and pitch were measured."""
     return all(np.isfinite(segment.y.get(name, np.nan)).any() for name in ("roll_rad", "pitch_rad"))
-
-
-def filled(t: FloatArray, values: FloatArray | None, default: float) -> FloatArray:
-    """A measured signal without holes: linear across gaps, held at the ends, `default` where nothing was measured."""
-    if values is None:
-        return np.full(t.shape, default)
-    good = np.isfinite(values)
-    if good.all():
-        return values
-    return np.interp(t, t[good], values[good]) if good.any() else np.full(t.shape, default)
 
 
 def zero_order_hold(edges: tuple[FloatArray, FloatArray] | None, t: FloatArray, default: float = 0.0) -> FloatArray:
@@ -141,8 +131,20 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
         return exogenous(segment, f"{axis}_rad", nominal_voltage_v, attitude_delay_s)
     if name in _TURNING:
         return _turning(segment, name)
-    values = filled(t, y.get(name), 0.0)
-    return np.unwrap(values) if name in _ANGLES else values
+    if name in _ANGLES:
+        return attitude_angles(segment)[:, _ANGLES.index(name)]
+    return filled(t, y.get(name), 0.0)
+
+
+def attitude_angles(segment: Segment) -> FloatArray:
+    """(n, 3) roll, pitch, yaw, rad, at every sample; 0 where one was not measured, yaw without jumps."""
+    return segment.once("attitude", lambda: _attitude(segment))
+
+
+def _attitude(segment: Segment) -> FloatArray:
+    y, missing = segment.y, np.full(segment.t_s.shape, np.nan)
+    rates = np.stack([exogenous(segment, f"{axis}_rad_s", 0.0, 0.0) for axis in "pqr"], axis=1)
+    return angles_between_samples(segment.t_s, np.stack([y.get(n, missing) for n in _ANGLES], axis=1), rates)
 
 
 def _turning(segment: Segment, name: str) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,16 +25,31 @@ _RESTS_M_S2 = 0.5  # specific force of what stands differs from g by less
 # no climb, descent, battery or ground effect doubles the thrust per throttle.
 _CARRIED = 0.5
 _FALLEN_S = 1.0  # upside down for so long: no flip lasts longer, and thrust downwards has made 20 m/s
+# Control is lost where roll or pitch is further than this from all that was asked for in the last second (ArduCopter's crash check,
+# crash_check.cpp: CRASH_CHECK_ANGLE_DEVIATION_DEG), and was since an attitude that followed.
+_LOST_RAD, _FOLLOWED_RAD = math.radians(30.0), math.radians(5.0)
+_ASKED_S = 1.0  # loops of multirotors have answered by then
+_LOST_S = 0.2  # in all, of a second: one wrong sample of an attitude is no loss of control
+_LED_S = 2.0  # followed before: what never did has references of something else
 
 
 def flights(recording: Recording) -> tuple[tuple[float, float], ...]:
     """From take-off to landing, s, of every flight of a recording in order; at least one."""
     start, end = _whole(recording)
+    landings = _landings(recording, start, end)
+    lost = _without_control(recording, start, end, landings)
     bounds = [start]
-    for down, up in _joined([*_landings(recording, start, end), *_crashes(recording, start, end)]):
+    for down, up in _joined([*landings, *_crashes(recording, start, end), *lost]):
         bounds += [down, up]
     pieces = zip(bounds[::2], [*bounds[1::2], end], strict=True)
     return tuple((a, b) for a, b in pieces if a < b) or ((start, end),)
+
+
+def control_lost(recording: Recording) -> tuple[tuple[float, float], ...]:
+    """From where the attitude leaves what was asked for, to the end of that flight, s, of every flight in which control was lost (a
+    collision, a failure): in what state the vehicle and its estimates are from there on is not known."""
+    start, end = _whole(recording)
+    return tuple(_without_control(recording, start, end, _landings(recording, start, end)))
 
 
 def _whole(recording: Recording) -> tuple[float, float]:
@@ -181,6 +197,57 @@ def _crashes(recording: Recording, start: float, end: float) -> list[tuple[float
         if up - down >= _FALLEN_S:
             found.append((down - _ASIDE_S, next((a for a in again if a > down), up)))
     return found
+
+
+def _without_control(
+    recording: Recording, start: float, end: float, landings: Sequence[tuple[float, float]]
+) -> list[tuple[float, float]]:
+    ends = sorted([*(m.t_s for m in recording.markers if m.label == "take-off"), *(up for _, up in landings), end])
+    found: list[tuple[float, float]] = []
+    begin = start
+    for stop in ends:
+        if begin < stop <= end and (lost := _leaves(recording, begin, stop)) is not None:
+            found.append((lost, stop))
+        begin = max(begin, stop)
+    return found
+
+
+def _leaves(recording: Recording, start: float, end: float) -> float | None:
+    """Where roll or pitch leaves what was asked for, s; None where both stay with it, or never were."""
+    t = recording.channel("roll_rad")[0] if recording.has("roll_rad", "pitch_rad") else np.zeros(0)
+    t = t[(t >= start) & (t <= end)]
+    far = np.maximum(*(_beside_asked(recording, axis, t) for axis in ("roll", "pitch"))) if t.size else np.zeros(0)
+    beyond = np.flatnonzero(far > _LOST_RAD)
+    for k in beyond:
+        if t[k] - start >= _LED_S and _lasts(t[k:], far[k:] > _LOST_RAD):
+            followed = t[:k][far[:k] <= _FOLLOWED_RAD]
+            return float(followed[-1]) if followed.size and followed[-1] - start >= _LED_S else None
+    return None
+
+
+def _lasts(t: FloatArray, beyond: NDArray[np.bool_]) -> bool:
+    """Whether it is `_LOST_S` of the second that begins with t (n,)."""
+    soon = t <= t[0] + _ASKED_S
+    return bool(soon.sum() > 2) and float(np.ptp(t[soon]) * beyond[soon].mean()) >= _LOST_S
+
+
+def _beside_asked(recording: Recording, axis: str, t: FloatArray) -> FloatArray:
+    """(n,) rad that an angle is outside of all its targets of the last `_ASKED_S`, held; 0 where there were none, or it is not known."""
+    nearest = np.full(t.size, np.inf)
+    angle = np.interp(t, *recording.channel(f"{axis}_rad"))
+    for name in (f"{axis}_ref_rad", f"{axis}_shaped_rad"):
+        at, asked = recording.channel(name) if recording.has(name) else (np.zeros(0), np.zeros(0))
+        at, asked = at[np.isfinite(asked)], asked[np.isfinite(asked)]
+        if not at.size:
+            continue
+        first = np.maximum(np.searchsorted(at, t - _ASKED_S, side="right") - 1, 0)
+        last = np.maximum(np.searchsorted(at, t, side="right") - 1, 0)
+        pairs = np.stack([first, last + 1], axis=1).ravel()
+        padded = np.append(asked, asked[-1])
+        most, least = (one.reduceat(padded, pairs)[::2] for one in (np.maximum, np.minimum))
+        beside = np.maximum(np.maximum(angle - most, least - angle), 0.0)
+        nearest = np.minimum(nearest, np.where((at[last] >= t - _ASKED_S) & (at[last] <= t), beside, 0.0))
+    return np.where(np.isfinite(nearest), nearest, 0.0)
 
 
 def _joined(stretches: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

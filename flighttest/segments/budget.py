@@ -11,7 +11,7 @@ import numpy as np
 
 from flighttest.recording import Recording
 from flighttest.segments import edges as ed
-from flighttest.segments.airborne import flights
+from flighttest.segments.airborne import control_lost, flights
 from flighttest.segments.model import Segment
 
 PAUSE_S = 1.0  # a longer stretch without any sample was not recorded
@@ -25,6 +25,7 @@ class Use(Enum):
     REJECTED = "cut, and rejected"
     PAUSE = "nothing was recorded"
     GROUND = "before take-off, after landing or on the ground"
+    LOST = "after control was lost: roll or pitch more than 30 degrees from what was asked for"
     UNKNOWN = "no command was recorded (for example while the autopilot holds a position)"
     BETWEEN = "between steps: held still, interrupted, or too short for a window"
     SHORT = "too short for a window"
@@ -49,15 +50,15 @@ def budget(recording: Recording, segments: Sequence[Segment]) -> tuple[Stretch, 
     """The whole recording in order of time, without gaps or overlaps. segments: what was cut of it."""
     start, end = recording.t_span_s
     own = [s for s in segments if s.t_s.size]
-    spans = flights(recording)
+    spans, lost = flights(recording), control_lost(recording)
     pauses, known = _pauses(recording, start, end), _known(recording, end)
-    times = [start, end, *(t for pairs in (spans, pauses, known) for pair in pairs for t in pair)]
+    times = [start, end, *(t for pairs in (spans, lost, pauses, known) for pair in pairs for t in pair)]
     times += [float(t) for s in own for t in (s.t_s[0], s.t_s[-1])]
     bounds = np.unique(np.clip(times, start, end))
     steps = any(s.kind != "free" for s in own)
     found: list[Stretch] = []
     for a, b in pairwise(bounds):
-        use, why = _use(0.5 * float(a + b), own, spans, pauses, known, steps)
+        use, why = _use(0.5 * float(a + b), own, spans, lost, pauses, known, steps)
         if found and (found[-1].use, found[-1].why) == (use, why):
             found[-1] = Stretch(found[-1].start_s, float(b), use, why)
         else:
@@ -69,6 +70,7 @@ def _use(
     t: float,
     segments: Sequence[Segment],
     spans: Sequence[tuple[float, float]],
+    lost: Sequence[tuple[float, float]],
     pauses: Sequence[tuple[float, float]],
     known: Sequence[tuple[float, float]],
     steps: bool,
@@ -83,6 +85,8 @@ def _use(
         return Use.REJECTED, here[0].flaws[0].value
     if _within(t, pauses):
         return Use.PAUSE, ""
+    if _within(t, lost):
+        return Use.LOST, ""
     if not _within(t, spans):
         return Use.GROUND, ""
     if not _within(t, known):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from flighttest.channels import INPUTS
 from flighttest.recording import Recording
 from flighttest.segments import edges as ed
-from flighttest.segments.airborne import flights
+from flighttest.segments.airborne import control_lost, flights
 from flighttest.segments.align import Aligned, prepare_motion, sample
 from flighttest.segments.edges import BY_HAND, EXACT, IN_PIECE, FoundStep, References, Tolerance
 from flighttest.segments.marks import Marked, marked
@@ -265,11 +265,14 @@ class _Cutter:
         flown = flights(recording)
         self.takeoffs_s = up[:1] or [start for start, _ in flown]
         self.hover_throttle = _median_throttle(references, flown)
+        self.lost = control_lost(recording)
 
     def segment(self, response: FoundStep, mark: Marked | None) -> Segment:
         t_s, y = sample(self.aligned, response.start_s, response.end_s)
         flaws = flaws_of(self.recording, self.references, response, t_s, y, self.streamed)
         notes: tuple[str, ...] = ()
+        if any(a < response.end_s and response.start_s < b for a, b in self.lost):
+            flaws = (*flaws, Flaw.CONTROL_LOST)
         if mark is not None and response.kind != "free" and not response.cell and Flaw.REFERENCE_MOVED not in flaws:
             flaws = (*flaws, Flaw.REFERENCE_MOVED)
         if mark is not None and mark.outcome not in ("", "FLOWN"):

@@ -10,8 +10,8 @@ from scipy.signal import lsim
 
 from flighttest.estimation.integration.filters import forced_response, free_response
 from flighttest.estimation.integration.kernel import Kernel
+from flighttest.estimation.interpolation import between_samples
 from flighttest.estimation.responses import Response, nodes_of
-from flighttest.estimation.voltage_interpolation import between_samples
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import rk4_stages

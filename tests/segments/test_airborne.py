@@ -6,7 +6,8 @@ import pytest
 from flighttest.frames import G_M_S2
 from flighttest.recording import Recording
 from flighttest.recording.model import Marker, Provenance, Series
-from flighttest.segments.airborne import flights
+from flighttest.segments import Use, budget, cut
+from flighttest.segments.airborne import control_lost, flights
 
 
 def recorded(throttle, force, roll=0.0, markers=()):
@@ -106,3 +107,60 @@ def test_what_falls_with_idle_motors_flies(thrown_m_s):
         ),
     }
     assert spans(Recording("made", series, (), Provenance("made", "table"))) == [(0, 60)]
+
+
+def steered(pitch, asked, *, take_offs=(), period_s=0.1):
+    """60 s of attitude at 10 Hz and its targets: functions of time, rad."""
+    t, at = np.arange(0.0, 60.0, 0.1), np.arange(0.0, 60.0, period_s)
+    series = {
+        "attitude": Series(t, {"roll_rad": np.zeros(t.size), "pitch_rad": pitch(t)}),
+        "reference": Series(at, {"roll_ref_rad": np.zeros(at.size), "pitch_ref_rad": asked(at)}),
+    }
+    marks = tuple(Marker(s, "note", "take-off") for s in take_offs)
+    return Recording("made", series, marks, Provenance("made", "table"))
+
+
+def follows(t):
+    return 0.1 * np.sin(t)
+
+
+def tumbles(t):
+    return np.where((t < 30.0) | (t > 45.0), follows(t), 0.1 + 0.7 * np.sin(4.0 * (t - 30.0)))
+
+
+@pytest.mark.parametrize(("take_offs", "until"), [((), 59.9), ((1.0, 50.0), 50.0)])
+def test_after_control_is_lost_nothing_of_that_flight_is_used(take_offs, until):
+    """Something of a vehicle broke; the last six seconds of its log, tumbling, gave its thrust a lag of a second for 0.1 and its attitude
+    loops half of their damping."""
+    recording = steered(tumbles, follows, take_offs=take_offs)
+    ((begin, end),) = control_lost(recording)
+    assert begin == pytest.approx(30.0, abs=0.3)
+    assert end == pytest.approx(until, abs=0.01)
+    ends = [stop for _, stop in flights(recording)]
+    assert min(abs(stop - begin) for stop in ends) == 0.0
+    assert len(ends) == (2 if take_offs else 1)
+    segments = cut(recording)
+    lost = [s for s in budget(recording, segments) if s.use is Use.LOST]
+    assert [(s.start_s, s.end_s) for s in lost] == [(begin, end)]
+    assert all(s.t_s[-1] <= begin or s.t_s[0] >= end for s in segments)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "asked", "period_s"),
+    [
+        (
+            lambda t: np.where(t < 30.0, 0.0, 1.0 - np.exp(-3.0 * (t - 30.0))),
+            lambda t: np.where(t < 30.0, 0.0, 1.0),
+            0.1,
+        ),
+        (lambda t: np.where(np.abs(t - 30.0) < 0.05, 2.0, follows(t)), follows, 0.1),  # one wrong sample
+        (lambda t: 0.8 + 0.0 * t, follows, 0.1),  # never followed: references of something else
+        (lambda t: tumbles(t - 1.5), follows, 25.0),  # what was asked for in the last second is not known
+        (lambda t: follows(t) + np.where((t > 30.0) & (t < 33.0), 0.5, 0.0), follows, 0.1),  # 29 degrees beside
+    ],
+    ids=["a large step", "a wrong sample", "other references", "stale references", "near"],
+)
+def test_control_is_not_lost_where_the_attitude_follows_or_nothing_shows(pitch, asked, period_s):
+    recording = steered(pitch, asked, period_s=period_s)
+    assert control_lost(recording) == ()
+    assert flights(recording) == ((0.0, pytest.approx(59.9)),)

@@ -18,7 +18,7 @@ from flighttest.diagnose.residuals.discrepancy import correlation_times
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, power_of_noise
 from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.linearisation import IntArray, Linearisation
-from flighttest.estimation.responses import zero_order_hold
+from flighttest.estimation.responses import attitude_angles, zero_order_hold
 from flighttest.frames import compass_from_yaw, rotation_from_euler, wrap_angle
 from flighttest.physics.blocks import VELOCITY
 from flighttest.segments.model import Segment
@@ -56,8 +56,7 @@ def regime_variables(segment: Segment) -> dict[str, FloatArray]:
     angles = [y.get(f"{a}_rad") for a in ("roll", "pitch", "yaw")]
     velocity = [y.get(f"v_{a}_m_s") for a in "xyz"]
     if all(a is not None for a in angles):
-        rpy = np.stack([np.asarray(a) for a in angles], axis=1)
-        rotation = rotation_from_euler(np.nan_to_num(rpy))
+        rotation = rotation_from_euler(attitude_angles(segment))
         found["tilt_rad"] = np.arccos(np.clip(rotation[:, 2, 2], -1, 1))
         found["heading_rad"] = wrap_angle(np.asarray(angles[2]))
         if all(v is not None for v in velocity):

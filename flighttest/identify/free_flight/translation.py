@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.responses import zero_order_hold
+from flighttest.estimation.responses import attitude_angles, zero_order_hold
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.identify.free_flight.chunks import Chunks
 from flighttest.identify.free_flight.stretches import Residual, unbroken
@@ -58,16 +58,16 @@ def _velocity(s: Segment) -> dict[str, FloatArray]:
     """The three velocities of a stretch, world, each predicted from the past; with the accelerometer where all of it was recorded."""
     slopes: dict[str, FloatArray] = {}
     if all(n in s.y and np.isfinite(s.y[n]).any() for n in FORCE):
-        angles = np.stack([s.y[n] for n in ("roll_rad", "pitch_rad", "yaw_rad")], axis=1)
-        a = np.einsum("nij,nj->ni", rotation_from_euler(angles), np.stack([s.y[n] for n in FORCE], axis=1))
+        a = np.einsum("nij,nj->ni", rotation_from_euler(attitude_angles(s)), np.stack([s.y[n] for n in FORCE], axis=1))
         slopes = dict(zip(VELOCITY, (a - [0.0, 0.0, G_M_S2]).T, strict=True))
     return {n: predicted(s.t_s, s.y[n], slopes.get(n)) for n in VELOCITY}
 
 
 def _state(s: Segment, velocity: Mapping[str, FloatArray]) -> FloatArray:
     """(n, 4): velocity along the body's axes, m/s, and throttle, of a stretch with such velocities, world."""
-    angles = np.stack([s.y[n] for n in ("roll_rad", "pitch_rad", "yaw_rad")], axis=1)
-    along = np.einsum("nji,nj->ni", rotation_from_euler(angles), np.stack([velocity[n] for n in VELOCITY], axis=1))
+    along = np.einsum(
+        "nji,nj->ni", rotation_from_euler(attitude_angles(s)), np.stack([velocity[n] for n in VELOCITY], axis=1)
+    )
     return np.column_stack([along, zero_order_hold(s.u["throttle"], s.t_s)])
 
 

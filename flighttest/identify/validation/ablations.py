@@ -11,7 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.responses import exogenous, filled, zero_order_hold
+from flighttest.estimation.interpolation import filled
+from flighttest.estimation.responses import exogenous, zero_order_hold
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics import body
 from flighttest.physics.model import Model
