@@ -240,22 +240,3 @@ def test_what_was_compiled_of_a_block_does_not_follow_it_elsewhere():
     assert not other.made
     there = Kernel(sent, sent.outputs, sent.params).run(parameters(sent, 0.1), np.zeros((1, 2)), nodes, True)
     assert np.array_equal(here[1], there[1])
-
-
-def test_a_point_that_is_kept_is_not_mistaken_for_another():
-    block = BLOCKS["roll"]
-    nodes = nodes_of(response(np.arange(40) * 0.02, [-9.0, 0.1], [0.0, 0.3]), 0.1)[0][None]
-    nodes.flags.writeable = False
-    kernel, p = Kernel(block, block.outputs, block.params), parameters(block, 0.1)
-    other = p.copy()
-    other[block.params.index("omega_phi")] *= 1.1
-    first = kernel.run(p, np.zeros((1, 3)), nodes, False)[0]
-    assert np.array_equal(kernel.run(p, np.zeros((1, 3)), nodes, True)[0], first)
-    moved = kernel.run(other, np.zeros((1, 3)), nodes, False)[0]
-    assert np.abs(moved - first).max() > 1e-3
-    assert np.abs(kernel.run(p, np.full((1, 3), 0.1), nodes, False)[0] - first).max() > 1e-3
-    assert np.array_equal(kernel.run(p, np.zeros((1, 3)), nodes, False)[0], first)
-    again = np.array(nodes)
-    assert np.array_equal(kernel.run(p, np.zeros((1, 3)), again, False)[0], first)
-    again[..., 1] = 0.1
-    assert not np.array_equal(kernel.run(p, np.zeros((1, 3)), again, False)[0], first), "what may change is not kept"

@@ -73,19 +73,6 @@ def late_parameters(block: Block) -> list[str]:
     return [n for i, n in enumerate(block.params) if ca.depends_on(delay, symbol[i])]
 
 
-def rate_of(block: Block) -> Vectorised:
-    """Rates of the states, of x, p, u, e, d."""
-    arguments = _symbols(block)
-    return Vectorised(ca.Function("rate", arguments, [ca.densify(ca.cse(block.function(*arguments)[0]))]))
-
-
-def observed(block: Block, outputs: tuple[str, ...]) -> Vectorised:
-    """Outputs before filters, of x, p, u, e, d."""
-    arguments = _symbols(block)
-    y = block.function(*arguments)[1][[block.outputs.index(n) for n in outputs]]
-    return Vectorised(ca.Function("outputs", arguments, [ca.densify(ca.cse(y))]))
-
-
 def jacobian_of(
     block: Block, what: str, outputs: tuple[str, ...], free: tuple[str, ...] | None
 ) -> tuple[ca.Function, int, tuple[IntArray, IntArray]]:
@@ -109,7 +96,7 @@ def jacobian_of(
     return ca.Function(what, arguments, [ca.densify(both)]), value.numel(), (rows, columns)
 
 
-def differentiated(block: Block, what: str, outputs: tuple[str, ...], free: tuple[str, ...]) -> Slopes:
+def differentiated(block: Block, what: str, outputs: tuple[str, ...], free: tuple[str, ...] | None) -> Slopes:
     """The same for many columns at once, by numpy."""
     function, rows, at = jacobian_of(block, what, outputs, free)
     return Slopes(Vectorised(function), rows, at)

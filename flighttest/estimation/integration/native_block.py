@@ -7,7 +7,6 @@ import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.integration.compiled import fed_states, jacobian_of, late_parameters
 from flighttest.estimation.integration.native import Program, library
+from flighttest.estimation.responses import Nodes
 from flighttest.physics.blocks import Block
 
 LANES = 16  # of kernel.c
@@ -49,16 +49,6 @@ class _Task(ctypes.Structure):
         *((n, _COUNT) for n in ("m", "n_data", "n", "slopes")),
         *((n, _AT) for n in ("p", "local", "nodes", "delay_slope", "mask", "first", "target", "order", "y", "dy")),
     )
-
-
-@dataclass(frozen=True)
-class NodeRows:
-    """Nodes of m responses, one response after the other: rows (N, n_data), as for `Kernel.run`; first (m + 1,): where each begins; target
-    (N,): the sample of its response that a node is, -1 for none."""
-
-    rows: FloatArray
-    first: IndexArray
-    target: IndexArray
 
 
 def _shares(order: IndexArray) -> list[IndexArray]:
@@ -114,25 +104,24 @@ class NativeBlock:
         self,
         p: FloatArray,
         local: FloatArray,
-        nodes: NodeRows,
-        n: int,
-        mask: NDArray[np.bool_] | None,
+        nodes: Nodes,
+        mask: NDArray[np.bool_],
         delay_slope: FloatArray,
         *,
         slopes: bool,
     ) -> tuple[FloatArray, FloatArray]:
         """Outputs (m, n, n_outputs) and, with slopes, derivatives (m, n, n_outputs, n_columns), 0 where masked.
 
-        n: samples of the longest response; delay_slope (n_columns,): of the delay by each column.
+        mask: (m, n, n_outputs), n samples of the longest response; delay_slope (n_columns,): of the delay by each column.
         """
         first = nodes.first
-        m = len(local)
+        m, n, _ = mask.shape
         order = np.argsort(np.diff(first), kind="stable")
         y = np.zeros((m, n, self.n_outputs))
         dy = np.zeros((m, n, self.n_outputs, self.n_columns if slopes else 0))
         arrays = [np.ascontiguousarray(a, dtype=float) for a in (p, local, nodes.rows, delay_slope)]
         indices = [np.ascontiguousarray(a, dtype=np.int64) for a in (first, nodes.target)]
-        counted = None if mask is None else np.ascontiguousarray(mask)
+        counted = np.ascontiguousarray(mask)
         kernel = library()
         assert kernel is not None
 
@@ -140,7 +129,7 @@ class NativeBlock:
             """Simulate some of the responses, which share nothing with others but what is read."""
             task = _Task(
                 mine.size, arrays[2].shape[1], n, int(slopes), *(a.ctypes.data for a in arrays),
-                None if counted is None else counted.ctypes.data, *(a.ctypes.data for a in (*indices, mine, y, dy)),
+                counted.ctypes.data, *(a.ctypes.data for a in (*indices, mine, y, dy)),
             )  # fmt: skip
             return int(kernel.integrate(ctypes.byref(self._made), ctypes.byref(task)))
 
