@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.linearisation import orthonormal
+from flighttest.estimation.linearisation import inverse_of_gram, orthonormal
 
 FloatArray = NDArray[np.float64]
 
@@ -354,10 +354,7 @@ def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray)
         precision = 1.0 / prior_std[mine] ** 2 if mine.any() else np.zeros(0)
         back = np.linalg.pinv(hessian[np.ix_(mine, mine)] + np.diag(precision)) if mine.any() else np.zeros((0, 0))
         follow = -back @ hessian[mine]  # how own parameters answer to the shared ones
-        power = np.diag(hessian) + known
-        scale = np.sqrt(np.where(power > 0.0, power, 1.0))  # a column of another group is nothing here
-        inverse = np.linalg.pinv((hessian + np.diag(known)) / np.outer(scale, scale), rcond=1e-10)
-        inverse /= np.outer(scale, scale)
+        inverse = inverse_of_gram(hessian + np.diag(known), 1e-10)  # a column of another group is nothing here
         parts.append((inverse @ score, np.diag(inverse), mine, follow, np.diag(hessian) > 0.0))
     for k in np.flatnonzero(~own):
         power = np.array([1.0 / v[k] if seen[k] and v[k] > 0.0 else 0.0 for _, v, _, _, seen in parts])

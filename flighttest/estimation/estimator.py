@@ -159,10 +159,7 @@ class Estimator:
             m, n, n_y = part.y.shape
             n_l, n_f = len(part.locals), part.n_free_states
             scale = np.tile(std := at.noise.counted(part.outputs), n)
-            jacobian = made.jacobian.reshape(m, n * n_y, -1)
-            j_p, j_l = np.zeros((m, n * n_y, len(names))), jacobian[..., jacobian.shape[2] - n_l :] / scale[:, None]
-            for k, name in enumerate(made.columns[: jacobian.shape[2] - n_l]):
-                j_p[..., list(names).index(name)] = jacobian[..., k]
+            j_p, j_l = made.by(names), made.by(part.locals) / scale[:, None]
             precision = 1.0 / prior_std(part, at.noise)
             residual, prior = (made.residual / std).reshape(m, -1), (part.start_local() - l_i) * precision
             basis = orthonormal_each(np.concatenate([j_l, precision[..., None] * np.eye(n_l)], axis=1))
@@ -218,17 +215,7 @@ class Estimator:
         """Per part (m, samples times outputs, len(names)): derivatives of the outputs, in the channels' units. values: other than the
         point's."""
         problem, there = self.problem(model), self.values_of(model, at, values)
-        found = []
-        for part, made in zip(
-            problem.parts, problem.evaluate(there, problem.placed(at.nuisance), list(names)), strict=True
-        ):
-            m, n, n_y = part.y.shape
-            jacobian = made.jacobian.reshape(m, n * n_y, -1)
-            placed = np.zeros((m, n * n_y, len(names)))
-            for k, name in enumerate(made.columns[: jacobian.shape[2] - len(part.locals)]):
-                placed[..., list(names).index(name)] = jacobian[..., k]
-            found.append(placed)
-        return found
+        return [made.by(names) for made in problem.evaluate(there, problem.placed(at.nuisance), list(names))]
 
     def differences(
         self, model: Model, at: Optimum, others: Iterable[tuple[Model, Mapping[str, float] | None]]

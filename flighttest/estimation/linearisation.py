@@ -19,6 +19,7 @@ from flighttest.estimation.problem import Noise
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 T = TypeVar("T")
+RANK = 1e-12  # relative eigenvalue of a Gram matrix of unit columns below which a direction is rounding error
 
 
 @dataclass(frozen=True)
@@ -178,4 +179,9 @@ def orthonormal(columns: FloatArray) -> FloatArray:
     return np.asarray(columns @ (vectors[:, used] / np.sqrt(values[used])))
 
 
-RANK = 1e-12  # relative eigenvalue of a Gram matrix of unit columns below which a direction is rounding error
+def inverse_of_gram(gram: FloatArray, rank: float = RANK) -> FloatArray:
+    """Pseudo-inverse (p, p) of a Gram matrix, its columns taken at unit length; zero for a column that is zero. rank: relative eigenvalue
+    below which a direction is none."""
+    length = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), np.inf))
+    unit = np.outer(length, length)
+    return np.asarray(np.linalg.pinv(gram / unit, rcond=rank, hermitian=True) / unit)

@@ -89,6 +89,15 @@ class PartEvaluation:
     jacobian: FloatArray
     columns: tuple[str, ...]
 
+    def by(self, names: Sequence[str]) -> FloatArray:
+        """(m, samples times outputs, len(names)) columns of the Jacobian by name, 0 where there is none."""
+        m, n, n_y = self.residual.shape
+        found = np.zeros((m, n * n_y, len(names)))
+        for k, name in enumerate(names):
+            if name in self.columns:
+                found[..., k] = self.jacobian[..., self.columns.index(name)].reshape(m, -1)
+        return found
+
     @cached_property
     def sums(self) -> Sums:
         """Over the samples of each response, per output: all that least squares asks of them, whatever the outputs' noise."""

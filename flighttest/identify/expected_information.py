@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from flighttest.channels import INPUTS
 from flighttest.estimation.likelihood_weights import LikelihoodWeights, State
+from flighttest.estimation.linearisation import inverse_of_gram
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.identify.diagnostics.parameter_diagnostics import responses_informing
 from flighttest.identify.selection import able, problem_of, segments_for
@@ -202,12 +203,7 @@ def _inverse(hessian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Covariance with insensitive parameters left out (their rows are zero), and which are not insensitive."""
     total = hessian.sum(axis=0)
     usable = np.diag(total) > 1e-9
-    pick = np.flatnonzero(usable)
-    scale = 1.0 / np.sqrt(np.diag(total)[pick])
-    inner = total[np.ix_(pick, pick)] * np.outer(scale, scale)
-    covariance = np.zeros_like(total)
-    covariance[np.ix_(pick, pick)] = np.linalg.pinv(inner, rcond=1e-12, hermitian=True) * np.outer(scale, scale)
-    return covariance, usable
+    return inverse_of_gram(np.where(np.outer(usable, usable), total, 0.0)), usable
 
 
 def _best(

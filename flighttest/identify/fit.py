@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from flighttest.errors import FitError, InputError
 from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.level import level_notes, level_share
-from flighttest.estimation.likelihood_weights import start_noise
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.responses import dead_channels, never_changing
 from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
@@ -381,8 +380,4 @@ def heldout(found: Fit, segments: Sequence[Segment], select: Select = "paper") -
     """A fit's parameters on segments it has not seen: only initial states and disturbances are estimated there."""
     problem = problem_of(segments, found.model, select=select, values=found.values)
     noise = Noise(found.noise.channel, found.noise.disturbance)  # samples count alike: each shows how a flight began
-    missing = {c for part in problem.parts for c in part.outputs} - set(noise.channel)
-    if missing:
-        extra = start_noise(problem)
-        noise = Noise({**extra.channel, **noise.channel}, {**extra.disturbance, **noise.disturbance})
     return problem, finite_or_error(solve(problem, Start(noise=noise), free=(), robust=False, estimate_noise=False))

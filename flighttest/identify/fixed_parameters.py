@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.likelihood_weights import LikelihoodWeights, Normal, State, start_noise
+from flighttest.estimation.likelihood_weights import LikelihoodWeights, Normal, State
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.uncertainty.colored_residuals import ColoredResiduals, colored_residuals
 from flighttest.identify.models.model_blocks import NoiseBlock
@@ -43,8 +43,6 @@ def normal_at(
     local: Sequence[FloatArray] | None = None,
 ) -> AtFixedParameters:
     """Normal equations by `free` at given parameters and noise. local: measured initial states and no disturbances where None."""
-    known = start_noise(problem)
-    noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance}, noise.correlation)
     at = State(np.zeros(0), [part.start_local() for part in problem.parts] if local is None else list(local), [])
     at.made = problem.evaluate(values, at.local, free)
     weighing = LikelihoodWeights.even(problem, noise, robust=True).by_response(at.made)

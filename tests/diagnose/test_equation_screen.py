@@ -5,8 +5,9 @@ from functools import cache
 
 import numpy as np
 
-from flighttest.diagnose.free_flight.equation_screen import screen, seen_by_equations
+from flighttest.diagnose.free_flight.equation_screen import screen
 from flighttest.diagnose.free_flight.equation_search import find_terms
+from flighttest.diagnose.selection.candidates import acts_in
 from flighttest.diagnose.selection.comparison import level_of
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.physics.catalogue import catalogue
@@ -66,14 +67,14 @@ def test_where_nothing_is_missing_no_term_stands_out():
 
 
 def test_every_term_of_the_translation_is_looked_at():
-    seen = {t.id for t in POOL if seen_by_equations(t, Model(), "translation")}
+    seen = {t.id for t in POOL if acts_in(t, Model(), "translation")}
     assert {"quadratic_drag", "slung_payload", "velocity_latency", "motor_saturation", "thrust_extra_lag"} <= seen
     assert "rate_limit" not in seen
     assert {"slung_payload", "motor_saturation", "thrust_extra_lag"} <= set(screened(0.0))
 
 
 def test_terms_of_the_loops_are_looked_at_where_they_act():
-    roll, yaw = ({t.id for t in POOL if seen_by_equations(t, Model(), part)} for part in ("roll_pitch", "yaw"))
+    roll, yaw = ({t.id for t in POOL if acts_in(t, Model(), part)} for part in ("roll_pitch", "yaw"))
     assert {"airflow_moment", "rate_limit", "rate_feedforward", "roll_pitch_coupling", "turn_axes"} <= roll
     assert {"heading_hold", "heading_rate_reference", "yaw_rate_shaping"} <= yaw
     assert "quadratic_drag" not in roll | yaw

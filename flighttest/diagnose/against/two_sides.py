@@ -22,7 +22,7 @@ from flighttest.diagnose.model import Diagnosis
 from flighttest.diagnose.selection.held_out import held_out_groups
 from flighttest.errors import FitError
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, interval_factor
-from flighttest.estimation.uncertainty.distributions import beyond, quantile
+from flighttest.estimation.uncertainty.distributions import beyond, holm, quantile
 from flighttest.identify.diagnostics.local_optima import misfit
 from flighttest.identify.fit import Fit, fit
 from flighttest.physics.catalogue import catalogue
@@ -250,11 +250,9 @@ def _differences(real: Side, simulated: Side) -> tuple[Difference, ...]:
         p = beyond((a - b) / std, dof) if std > 0 else float(a == b)
         dofs[len(rows)] = dof
         rows.append(replace(row, difference=a - b, std=std, interval_95=(a - b - half, a - b + half), p_value=p))
-    tested = sorted((i for i, r in enumerate(rows) if r.p_value is not None), key=lambda i: rows[i].p_value or 0.0)
-    still = True
-    for k, i in enumerate(tested):
-        still = still and (rows[i].p_value or 0.0) <= LEVEL / (len(tested) - k)
-        kind = _kind(rows[i], model, errors, len(tested)) if still else Kind.SAME
+    tested = {i: r.p_value for i, r in enumerate(rows) if r.p_value is not None}
+    for i, differs in zip(tested, holm([*tested.values()], LEVEL), strict=True):
+        kind = _kind(rows[i], model, errors, len(tested)) if differs else Kind.SAME
         rows[i] = replace(rows[i], kind=kind, detectable=_detectable(rows[i], dofs[i], len(tested)))
     order = list(Kind)
     return tuple(sorted(rows, key=lambda r: (order.index(r.kind), r.p_value if r.p_value is not None else 1.0)))

@@ -16,17 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.answer import SideBySide, one_after_the_other
-from flighttest.diagnose.selection.candidates import grid, null_value
+from flighttest.diagnose.selection.candidates import acts_in, grid, null_value
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.estimation.equation_error import Stream, Whitened, block_rows, whiten
-from flighttest.estimation.estimator import part_of
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.free_flight import FreeFlight
 from flighttest.identify.free_flight.equations import Equations
 from flighttest.identify.free_flight.translation import LATENCY
-from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
-from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -52,15 +49,6 @@ class Screened:
 
 
 ScoreTests = Callable[[Sequence[Segment], FreeFlight, Sequence[Term], int], Iterator[Screened]]
-
-
-def seen_by_equations(term: Term, model: Model, part: str) -> bool:
-    """Whether a term acts in a part of a model (`estimation.estimator.BLOCKS`)."""
-    if part == "translation" or block_of(term) == "translation":
-        return block_of(term) == part
-    tried = model if term.id in model.terms else model.with_terms(term)
-    known = {name for b in tried.blocks if part_of(b.name) == part for name in b.params}
-    return any(p.name in known for p in term.params)
 
 
 def settings(term: Term, flown: Sequence[Segment]) -> list[dict[str, float]]:
@@ -92,9 +80,7 @@ def screen(
     terms = [
         t
         for t in pool
-        if seen_by_equations(t, base.model, base.part)
-        and t.id not in base.model.terms
-        and not missing_channels(t, tuple(flown))
+        if acts_in(t, base.model, base.part) and t.id not in base.model.terms and not missing_channels(t, tuple(flown))
     ]
     rows = block_rows(sum(float(np.ptp(s.t_s)) for s in flown), base.period_s)
     linear = [t for t in terms if t.amplitudes]

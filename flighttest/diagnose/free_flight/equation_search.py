@@ -20,12 +20,13 @@ import numpy as np
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.answer import SearchSupport
-from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
+from flighttest.diagnose.free_flight.equation_screen import Screened, screen, settings
 from flighttest.diagnose.free_flight.estimates import ModelEstimates
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
 from flighttest.diagnose.free_flight.significance import EDGE_OF_INTERVAL, coefficients_of, null_inside_interval
 from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
+from flighttest.diagnose.selection.candidates import acts_in
 from flighttest.diagnose.selection.comparison import PROBABILITY, level_of, log_odds_asked, probability_of
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.errors import FitError
@@ -120,7 +121,7 @@ def find_terms(
     estimated from.
     """
     declared, priors = still_air(weather)
-    known = {t.id: t for t in pool if seen_by_equations(t, model, part) and not missing_channels(t, tuple(flown))}
+    known = {t.id: t for t in pool if acts_in(t, model, part) and not missing_channels(t, tuple(flown))}
     if any(np.isfinite(s.y.get("f_x_m_s2", np.nan)).any() for s in flown):
         known.pop(LATENCY, None)  # an accelerometer shows forces without the velocity
     pooled = tuple(t for t in known.values() if t.id not in model.terms)

@@ -13,7 +13,7 @@ from flighttest.diagnose.model import short
 from flighttest.diagnose.records import HeldOutRow
 from flighttest.diagnose.selection.held_out import worse_in_more
 from flighttest.estimation.equation_error import Autoregression, Whitened, block_rows, whiten
-from flighttest.estimation.linearisation import FloatArray
+from flighttest.estimation.linearisation import FloatArray, inverse_of_gram
 from flighttest.identify.free_flight import FreeFlight
 from flighttest.identify.free_flight.equations import Equations
 from flighttest.segments.model import Segment
@@ -104,9 +104,7 @@ def _left_out(
         hessian, score = sum(h for h, _ in others), sum(s for _, s in others)
         # What belongs to the group left out alone, its wind, stays as it was estimated.
         determined = np.diag(hessian) > 0.0
-        scale = np.sqrt(np.where(determined, np.diag(hessian), 1.0))
-        inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-8, hermitian=True)
-        delta = np.where(determined, inverse @ (score / scale) / scale, 0.0)
+        delta = np.where(determined, inverse_of_gram(np.asarray(hessian), 1e-8) @ score, 0.0)
         for channel, residual, jacobian, group in pieces:
             if group != g:
                 continue

@@ -14,17 +14,15 @@ from flighttest.diagnose.residuals.locate import locate, regime_curves, residual
 from flighttest.diagnose.residuals.mismatch import step_errors
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.baselines import baselines
+from flighttest.diagnose.selection.candidates import acts_in
 from flighttest.diagnose.selection.comparison import held_out_errors
 from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
 from flighttest.diagnose.selection.fitted_models import FittedModels
 from flighttest.diagnose.selection.held_out import HeldOut, excess, gains_held_out, horizon_rmse
 from flighttest.diagnose.selection.search import Search, silent
-from flighttest.estimation.estimator import Estimator, part_of
+from flighttest.estimation.estimator import Estimator
 from flighttest.identify.dead_time import onset_delay, start_values
 from flighttest.identify.selection import able
-from flighttest.physics.compose import block_of
-from flighttest.physics.core import Term
-from flighttest.physics.model import Model
 
 # Held at off in the attitude model until it is needed, so that roll and pitch are always compared on the same responses.
 COUPLING = "roll_pitch_coupling"
@@ -54,7 +52,7 @@ def by_output_error(block: str, asked: Asked) -> PartAnswer:
         return PartAnswer(notes=[f"nothing in this recording moves {PLAIN[block]}: it is left out"])
     assert asked.base is not None
     inactive = frozenset({COUPLING}) if block == "roll_pitch" and COUPLING not in model.terms else frozenset()
-    pool = tuple(t for t in asked.pool if _acts(t, estimator, own) and not missing_channels(t, asked.segments))
+    pool = tuple(t for t in asked.pool if acts_in(t, own, block) and not missing_channels(t, asked.segments))
     origin = start_values(asked.segments, model, onset_delay(asked.segments))
     models = FittedModels(estimator, pool, inactive, origin)
     search = Search(models, asked.groups, lambda text: asked.support.progress(f"{block}: {text}"))
@@ -117,15 +115,6 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
         made.unseen += untestable(search, seen)
     made.candidates += candidate_rows(search)
     made.baselines |= baselines(search.estimator, base, now, segments, asked.previous)
-
-
-def _acts(term: Term, estimator: Estimator, model: Model) -> bool:
-    """Whether a term changes what this estimator compares."""
-    if (block_of(term) == "translation") != (estimator.block == "translation"):
-        return False
-    tried = model if term.id in model.terms else model.with_terms(term)
-    known = {name for block in tried.blocks if part_of(block.name) == estimator.block for name in block.params}
-    return any(p.name in known for p in term.params)
 
 
 def _held(h: HeldOut) -> HeldOutRow:

@@ -10,8 +10,9 @@ from functools import cached_property, partial
 import numpy as np
 
 from flighttest.estimation.drift import DISTURBANCE_DRIFT
-from flighttest.estimation.estimator import Estimator, finite
+from flighttest.estimation.estimator import Estimator, finite, part_of
 from flighttest.estimation.linearisation import FloatArray, Linearisation, Optimum
+from flighttest.physics.compose import block_of
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 
@@ -69,6 +70,15 @@ def null_value(p: Param) -> float:
 def usual_size(p: Param) -> float:
     """Nominal value of a linear coefficient, from its null value."""
     return float(p.nominal) - null_value(p)
+
+
+def acts_in(term: Term, model: Model, part: str) -> bool:
+    """Whether a term acts in a part of a model (`estimation.estimator.BLOCKS`)."""
+    if (block_of(term) == "translation") != (part == "translation"):
+        return False
+    tried = model if term.id in model.terms else model.with_terms(term)
+    known = {name for block in tried.blocks if part_of(block.name) == part for name in block.params}
+    return any(p.name in known for p in term.params)
 
 
 def redundant(term: Term, strata: Collection[str]) -> frozenset[str]:

@@ -29,7 +29,14 @@ from flighttest.diagnose.selection.held_out import (
     worse_in_more,
 )
 from flighttest.estimation.estimator import Estimator, finite
-from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
+from flighttest.estimation.linearisation import (
+    FloatArray,
+    IntArray,
+    Linearisation,
+    Optimum,
+    inverse_of_gram,
+    orthonormal,
+)
 from flighttest.estimation.problem import Noise, kinds_of
 from flighttest.estimation.uncertainty.distributions import NORMAL_95
 from flighttest.physics.core import Term
@@ -146,9 +153,7 @@ def standard_errors(fitted: Fitted, segments: Sequence[Segment]) -> dict[str, fl
 def _covariance(fitted: Fitted, segments: Sequence[Segment]) -> FloatArray:
     """(p, p) of generalised least squares, p as `fitted.names`."""
     a = fitted.rows.columns(fitted.names) * np.sqrt(weights_of(fitted, segments)(fitted.rows))[:, None]
-    length = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-150)  # its square is a number
-    inverse = np.linalg.pinv((a / length).T @ (a / length), rcond=1e-12, hermitian=True)
-    return np.asarray(inverse / length[:, None] / length)
+    return inverse_of_gram(a.T @ a)
 
 
 def least_needed_first(

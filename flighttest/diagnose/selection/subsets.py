@@ -25,7 +25,7 @@ from scipy.special import log_ndtr
 from flighttest.diagnose.residuals.discrepancy import Discrepancy
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
 from flighttest.diagnose.selection.candidates import Candidate, redundant
-from flighttest.estimation.linearisation import RANK, FloatArray, Linearisation
+from flighttest.estimation.linearisation import FloatArray, Linearisation, inverse_of_gram
 
 LARGEST = 3  # terms in the exhaustive search
 SETTINGS = 2  # grid values of a term that go into subsets of three
@@ -85,7 +85,7 @@ class Subsets:
         total = np.sum(products, axis=0)
         # What the base explains of every column and of the residual is taken away; it need not be of full rank.
         explained = np.zeros_like(total)
-        explained[:p, p:] = _inverse(total[:p, :p]) @ total[:p, p:]
+        explained[:p, p:] = inverse_of_gram(total[:p, :p]) @ total[:p, p:]
         rest = np.eye(len(total)) - explained
         products = [(rest.T @ one @ rest)[p:, p:] for one in products]
         left = np.sqrt(np.maximum(np.diag(np.sum(products, axis=0)) / np.maximum(np.diag(total)[p:], 1e-300), 0.0))
@@ -184,13 +184,6 @@ class Subsets:
 
     def _different(self, members: Sequence[int]) -> bool:
         return len({self.candidates[j].term.id for j in members}) == len(members)
-
-
-def _inverse(gram: FloatArray) -> FloatArray:
-    """Pseudo-inverse (p, p) of a Gram matrix, to rounding error of its columns at unit length."""
-    length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    unit = np.outer(length, length)
-    return np.asarray(np.linalg.pinv(gram / unit, rcond=RANK, hermitian=True) / unit)
 
 
 def _floor_variance(rows: Linearisation, floor: NoiseFloor, stratum: int) -> float:

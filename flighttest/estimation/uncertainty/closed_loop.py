@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.autocorrelation import autocorrelation
 from flighttest.estimation.likelihood_weights import regular, sample_weights
+from flighttest.estimation.linearisation import inverse_of_gram
 from flighttest.estimation.problem import Part, PartEvaluation, Problem, prior_std
 from flighttest.estimation.solver import Solution
 
@@ -36,7 +37,6 @@ def closed_loop_bias(problem: Problem, solution: Solution) -> dict[str, float]:
     """By name of a free parameter: how far the controls' answers to disturbances may have moved it; empty without free flight."""
     free = solution.free
     total = solution.normal.hessian.sum(axis=0)
-    root = np.sqrt(np.maximum(np.diag(total), 1e-300))
     score = np.zeros((len(LEADS_S), len(free)))
     windows = 0
     for part, made in zip(problem.parts, solution.evaluations, strict=True):
@@ -47,7 +47,7 @@ def closed_loop_bias(problem: Problem, solution: Solution) -> dict[str, float]:
             score[:, columns] += _scores(part, made, rows, solution)
     if windows < FEW_WINDOWS:
         return {}
-    moved = np.linalg.lstsq(total / np.outer(root, root), (score / root).T, rcond=1e-9)[0] / root[:, None]
+    moved = inverse_of_gram(total, 1e-9) @ score.T
     return dict(zip(free, (ALLOWED * np.abs(moved).max(axis=1)).tolist(), strict=True))
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.autocorrelation import autocorrelation, lagged_products
 from flighttest.estimation.likelihood_weights import LikelihoodWeights, Normal, State
+from flighttest.estimation.linearisation import inverse_of_gram
 
 FloatArray = NDArray[np.float64]
 
@@ -42,8 +43,7 @@ def colored_residuals(
     """Of the estimates of `active` names at an optimum of them, or at given parameters; normal: by them and others, weighed alike."""
     pick = [normal.names.index(n) for n in active]
     total = normal.hessian.sum(axis=0)[np.ix_(pick, pick)]
-    scale = np.sqrt(np.where(np.diag(total) > 0.0, np.diag(total), 1.0))
-    inverse = np.linalg.pinv(total / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+    inverse = inverse_of_gram(total)
     variance, squares = np.zeros(len(pick)), np.zeros(len(pick))
     for part, (residual, jacobian) in zip(weighing.problem.parts, weighing.profiled(at, active), strict=True):
         for k, name in enumerate(part.outputs):

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.estimation.drift import DISTURBANCE_DRIFT
+from flighttest.estimation.linearisation import inverse_of_gram
 from flighttest.estimation.problem import Noise, Part, Problem, kinds_of, prior_std
 from flighttest.estimation.solver import Solution
 from flighttest.estimation.uncertainty.distributions import expected_excess
@@ -60,8 +61,7 @@ def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequenc
                 mine = kinds[segment] == kind
                 columns = jacobian[mine, :, k][part.mask[mine, :, k]]
                 spread += variance * columns.shape[0] * columns.T @ columns
-    scale = np.sqrt(np.where(np.diag(total) > 0.0, np.diag(total), 1.0))
-    inverse = np.linalg.pinv(total / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+    inverse = inverse_of_gram(total)
     own = np.diag([problem.model.param[n].drift ** 2 for n in active])
     return np.asarray(inverse @ spread @ inverse) + own
 

@@ -6,6 +6,7 @@ From `scipy.special`, which loads in a fifth of the time of `scipy.stats`.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from scipy import special
 
@@ -45,6 +46,15 @@ def fisher_quantile(p: float, dof_above: float, dof_below: float) -> float:
 def chi2_beyond(value: float, dof: float) -> float:
     """The probability that a chi-squared variable of these degrees of freedom is larger than value."""
     return float(special.chdtrc(dof, value))
+
+
+def holm(p_values: Sequence[float], level: float) -> list[bool]:
+    """Which of several hypotheses are rejected, the chance that any true one is no more than `level` (Holm 1979)."""
+    found, still = [False] * len(p_values), True
+    for k, i in enumerate(sorted(range(len(p_values)), key=lambda i: p_values[i])):
+        still = still and p_values[i] <= level / (len(p_values) - k)
+        found[i] = still
+    return found
 
 
 def expected_excess(ratio: float, dof_above: float, dof_below: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from flighttest.estimation.uncertainty.distributions import normal_beyond
+from flighttest.estimation.uncertainty.distributions import holm, normal_beyond
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 
 LEVEL = (
@@ -21,49 +21,38 @@ class ParameterDifference:
     unit: str
     first: float | None
     second: float | None
-    difference: float | None
-    std: float | None
-    z: float | None
-    p_value: float | None
-    differs: bool
-    sentence: str
+    difference: float | None = None
+    std: float | None = None
+    z: float | None = None
+    p_value: float | None = None
+    differs: bool = False
+    sentence: str = ""
 
 
 def compare(first: ModelFile, second: ModelFile) -> tuple[ParameterDifference, ...]:
     """Every parameter of either model; those that differ first, then by z. K of the second at the nominal voltage of the first."""
-    rows = []
     second = replace(second, parameters={**second.parameters, **_gain_at(first.model.nominal_voltage_v, second)})
-    names = list(dict.fromkeys([*first.parameters, *second.parameters]))
-    for name in names:
-        a, b = first.parameters.get(name), second.parameters.get(name)
-        if a is None or b is None:
-            known = a or b
-            where = "second" if a is None else "first"
-            unit = known.unit if known else ""
-            value_a, value_b = (a.value if a else None), (b.value if b else None)
-            rows.append(
-                ParameterDifference(
-                    name, unit, value_a, value_b, None, None, None, None, False, f"only the {where} model has {name}"
-                )
-            )
-            continue
-        difference = b.value - a.value
-        if a.scatter is None or b.scatter is None or not (a.identifiable and b.identifiable):
-            why = "not known in both"
-            rows.append(ParameterDifference(name, a.unit, a.value, b.value, difference, None, None, None, False, why))
-            continue
-        std = math.hypot(a.scatter, b.scatter)
-        z = difference / std if std > 0 else math.copysign(math.inf, difference) if difference else 0.0
-        p = normal_beyond(z)
-        rows.append(ParameterDifference(name, a.unit, a.value, b.value, difference, std, z, p, False, ""))
-    tested = sorted((r for r in rows if r.p_value is not None), key=lambda r: r.p_value or 0.0)
-    decided: dict[str, bool] = {}
-    still = True
-    for k, row in enumerate(tested):
-        still = still and (row.p_value or 0.0) <= LEVEL / (len(tested) - k)
-        decided[row.name] = still
-    final = [_decide(r, decided.get(r.name)) for r in rows]
-    return tuple(sorted(final, key=lambda r: (not r.differs, -(abs(r.z) if r.z is not None else -1.0))))
+    names = dict.fromkeys([*first.parameters, *second.parameters])
+    rows = [_compared(n, first.parameters.get(n), second.parameters.get(n)) for n in names]
+    tested = {i: r.p_value for i, r in enumerate(rows) if r.p_value is not None}
+    for i, differs in zip(tested, holm([*tested.values()], LEVEL), strict=True):
+        rows[i] = _decided(rows[i], differs)
+    return tuple(sorted(rows, key=lambda r: (not r.differs, -(abs(r.z) if r.z is not None else -1.0))))
+
+
+def _compared(name: str, a: StoredParameter | None, b: StoredParameter | None) -> ParameterDifference:
+    """A row that is not decided yet."""
+    if a is None and b is not None:
+        return ParameterDifference(name, b.unit, None, b.value, sentence=f"only the second model has {name}")
+    assert a is not None
+    if b is None:
+        return ParameterDifference(name, a.unit, a.value, None, sentence=f"only the first model has {name}")
+    row = ParameterDifference(name, a.unit, a.value, b.value, b.value - a.value)
+    if a.scatter is None or b.scatter is None or not (a.identifiable and b.identifiable):
+        return replace(row, sentence="not known in both")
+    difference, std = b.value - a.value, math.hypot(a.scatter, b.scatter)
+    z = difference / std if std > 0 else math.copysign(math.inf, difference) if difference else 0.0
+    return replace(row, std=std, z=z, p_value=normal_beyond(z))
 
 
 def _gain_at(nominal_v: float, model: ModelFile) -> dict[str, StoredParameter]:
@@ -80,12 +69,7 @@ def _gain_at(nominal_v: float, model: ModelFile) -> dict[str, StoredParameter]:
     return {"K": replace(gain, value=gain.value * factor, scatter=scatter)}
 
 
-def _decide(row: ParameterDifference, differs: bool | None) -> ParameterDifference:
-    if differs is None or row.z is None:
-        return row
+def _decided(row: ParameterDifference, differs: bool) -> ParameterDifference:
     relative = f" ({100 * row.difference / row.first:+.1f} %)" if row.first and row.difference is not None else ""
     word = "differs" if differs else "does not differ beyond its error"
-    sentence = f"{row.name} {word}{relative}, z = {row.z:+.1f}"
-    return ParameterDifference(
-        row.name, row.unit, row.first, row.second, row.difference, row.std, row.z, row.p_value, differs, sentence
-    )
+    return replace(row, differs=differs, sentence=f"{row.name} {word}{relative}, z = {row.z:+.1f}")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import INPUTS
-from flighttest.estimation.problem import Part, PartEvaluation
+from flighttest.estimation.problem import Part
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import G_M_S2
 from flighttest.identify.fit import Fit
@@ -72,14 +72,9 @@ def pieces(found: Fit) -> Iterator[ResponsePiece]:
     """(segment, part, t_s (n,), measured (n, outputs), simulated (n, outputs)) of every response in every block; NaN where masked."""
     for part, made in zip(found.problem.parts, found.solution.evaluations, strict=True):
         for j, response in enumerate(part.responses):
-            measured, residual = _of(part, made, j)
-            yield found.problem.segments[response.index], part, response.t_s, measured, measured - residual
-
-
-def _of(part: Part, made: PartEvaluation, j: int) -> tuple[FloatArray, FloatArray]:
-    n = part.responses[j].t_s.size
-    mask = part.mask[j, :n]
-    return np.where(mask, part.y[j, :n], np.nan), np.where(mask, made.residual[j, :n], np.nan)
+            n, mask = response.t_s.size, part.mask[j, : response.t_s.size]
+            measured = np.where(mask, part.y[j, :n], np.nan)
+            yield found.problem.segments[response.index], part, response.t_s, measured, measured - made.residual[j, :n]
 
 
 def fitted_responses(found: Fit) -> tuple[FittedResponse, ...]:
@@ -113,46 +108,34 @@ def fitted_responses(found: Fit) -> tuple[FittedResponse, ...]:
 
 def response_overlays(found: Fit) -> tuple[ResponseOverlay, ...]:
     """Measured and simulated responses, at most `MAX_OVERLAYS` per kind, spread over the cells."""
-    made: list[ResponseOverlay] = []
-    for part, evaluation in zip(found.problem.parts, found.solution.evaluations, strict=True):
-        for j, response in enumerate(part.responses):
-            segment = found.problem.segments[response.index]
-            made += _overlays_of(part, evaluation, j, segment)
-    return tuple(_thinned(made))
+    return tuple(_thinned([one for piece in pieces(found) if (one := _overlay_of(*piece)) is not None]))
 
 
-def _overlays_of(part: Part, made: PartEvaluation, j: int, segment: Segment) -> list[ResponseOverlay]:
-    t = part.responses[j].t_s
-    n = t.size
+def _overlay_of(
+    segment: Segment, part: Part, t: FloatArray, measured: FloatArray, simulated: FloatArray
+) -> ResponseOverlay | None:
     wanted = {"roll_step": "roll_rad", "pitch_step": "pitch_rad", "yaw_rate_step": "r_rad_s"}.get(segment.kind)
-    since = t - segment.t_step_s
+    both: tuple[FloatArray, FloatArray] | None = None
     if wanted in part.outputs:
         k = part.outputs.index(wanted)
-        measured = np.where(part.mask[j, :n, k], part.y[j, :n, k], np.nan)
-        return [
-            ResponseOverlay(
-                segment.name, segment.kind, segment.cell, wanted, since, measured, measured - made.residual[j, :n, k]
-            )
-        ]
-    if segment.kind in ("throttle_step", "tilt_throttle", "free") and all(c in part.outputs for c in _SPECIFIC_FORCE):
-        both = _vertical(part, made, j, segment)
-        if both is not None:
-            return [ResponseOverlay(segment.name, segment.kind, segment.cell, "a_z_m_s2", since, *both)]
-    return []
+        channel, both = wanted, (measured[:, k], simulated[:, k])
+    elif segment.kind in ("throttle_step", "tilt_throttle", "free"):
+        channel, both = "a_z_m_s2", _vertical(segment, part, measured, simulated)
+    if both is None:
+        return None
+    return ResponseOverlay(segment.name, segment.kind, segment.cell, channel, t - segment.t_step_s, *both)
 
 
-def _vertical(part: Part, made: PartEvaluation, j: int, segment: Segment) -> tuple[FloatArray, FloatArray] | None:
+def _vertical(
+    segment: Segment, part: Part, measured: FloatArray, simulated: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
     """Measured and simulated world a_z of one response, from the body specific force and the measured attitude."""
     roll, pitch = segment.y.get("roll_rad"), segment.y.get("pitch_rad")
-    n = part.responses[j].t_s.size
-    if roll is None or pitch is None or roll.size != n:
+    if roll is None or pitch is None or roll.size != len(measured) or not set(_SPECIFIC_FORCE) <= set(part.outputs):
         return None
     index = [part.outputs.index(c) for c in _SPECIFIC_FORCE]
     up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
-    f = np.where(part.mask[j, :n][:, index], part.y[j, :n][:, index], np.nan)
-    measured = (up * f).sum(axis=1) - G_M_S2
-    simulated = (up * (f - made.residual[j, :n][:, index])).sum(axis=1) - G_M_S2
-    return measured, simulated
+    return (up * measured[:, index]).sum(axis=1) - G_M_S2, (up * simulated[:, index]).sum(axis=1) - G_M_S2
 
 
 def _thinned(made: Sequence[ResponseOverlay]) -> list[ResponseOverlay]:
@@ -167,26 +150,15 @@ def _thinned(made: Sequence[ResponseOverlay]) -> list[ResponseOverlay]:
 def thrust_points(found: Fit) -> tuple[ThrustPoint, ...]:
     """Settled acceleration over voltage, per throttle response."""
     points = []
-    for part, made in zip(found.problem.parts, found.solution.evaluations, strict=True):
-        if not all(c in part.outputs for c in _SPECIFIC_FORCE):
+    for segment, part, t, measured, simulated in pieces(found):
+        volts = segment.y.get("voltage_v")
+        if segment.kind != "throttle_step" or volts is None:
             continue
-        for j, response in enumerate(part.responses):
-            segment = found.problem.segments[response.index]
-            volts = segment.y.get("voltage_v")
-            if segment.kind != "throttle_step" or volts is None:
-                continue
-            both = _vertical(part, made, j, segment)
-            if both is None:
-                continue
-            late = response.t_s > response.t_s[-1] - SETTLED_SHARE * (response.t_s[-1] - segment.t_step_s)
-            late &= np.isfinite(both[0]) & np.isfinite(volts)
-            if late.sum() >= 3:
-                points.append(
-                    ThrustPoint(
-                        segment.cell,
-                        float(volts[late].mean()),
-                        float(both[0][late].mean()),
-                        float(both[1][late].mean()),
-                    )
-                )
+        if (both := _vertical(segment, part, measured, simulated)) is None:
+            continue
+        late = t > t[-1] - SETTLED_SHARE * (t[-1] - segment.t_step_s)
+        late &= np.isfinite(both[0]) & np.isfinite(volts)
+        if late.sum() >= 3:
+            settled = [float(one[late].mean()) for one in (volts, *both)]
+            points.append(ThrustPoint(segment.cell, settled[0], settled[1], settled[2]))
     return tuple(points)

@@ -38,13 +38,13 @@ def coverage(found: Fit, segments: Sequence[Segment], select: Select = "paper") 
     stds: dict[str, list[np.ndarray]] = {}
     z = normal_quantile(0.975)
     for part, evaluation in zip(problem.parts, made, strict=True):
-        used = [n for n in evaluation.columns if n in names]
-        at = np.array([evaluation.columns.index(n) for n in used], dtype=np.intp)
-        pick = np.array([names.index(n) for n in used], dtype=np.intp)
-        matrix = found.covariance.matrix[np.ix_(pick, pick)]
+        derivatives = evaluation.by(names).reshape(*evaluation.residual.shape, -1)
         for k, channel in enumerate(part.outputs):
-            slopes = evaluation.jacobian[:, :, k, :][..., at]
-            variance = np.einsum("mni,ij,mnj->mn", slopes, matrix, slopes) + solution.noise.channel[channel] ** 2
+            slopes = derivatives[:, :, k]
+            variance = (
+                np.einsum("mni,ij,mnj->mn", slopes, found.covariance.matrix, slopes)
+                + solution.noise.channel[channel] ** 2
+            )
             mask = part.mask[..., k]
             residual, std = evaluation.residual[..., k][mask], np.sqrt(variance[mask])
             inside.setdefault(channel, []).append(np.abs(residual) <= z * std)
