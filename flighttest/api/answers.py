@@ -150,7 +150,7 @@ class Validated(Answer):
         """One row per model, group of channels and horizon: horizon_s, rmse in `unit`, starts counted, separate stretches of flight."""
         import pandas as pd
 
-        from flighttest.identify.validation.validate import UNITS
+        from flighttest.identify.validation.ablations import UNITS
 
         return pd.DataFrame(
             [

@@ -12,9 +12,9 @@ from typing import cast
 import numpy as np
 
 from flighttest.datafiles import check_writable
-from flighttest.diagnose.against.prediction import prediction_quality
 from flighttest.diagnose.model import short
 from flighttest.diagnose.records import DiagnosisData
+from flighttest.diagnose.residuals.prediction import prediction_quality
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.identify.validation.ablations import measured_channels, open_loop, voltage_for

@@ -21,7 +21,7 @@ from flighttest.diagnose.against import (
     side_of,
     step_by_step,
 )
-from flighttest.diagnose.against.prediction import floors_of, prediction_quality
+from flighttest.diagnose.residuals.prediction import floors_of, prediction_quality
 from flighttest.errors import FlighttestError, InputError
 from flighttest.flight import FlightSettings, fly
 from flighttest.identify.fit import fit

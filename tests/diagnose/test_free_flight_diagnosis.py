@@ -13,8 +13,8 @@ from flighttest.diagnose.answer import SearchSupport
 from flighttest.diagnose.conclusion import sentence_of
 from flighttest.diagnose.free_flight import equation_search
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
+from flighttest.diagnose.free_flight.estimates import null_inside_interval
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
-from flighttest.diagnose.free_flight.significance import null_inside_interval
 from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS
 from flighttest.estimation.responses import exogenous

@@ -6,8 +6,8 @@ import pytest
 from flight import TRUE, campaign, fly
 
 from flighttest.diagnose import Verdict
-from flighttest.diagnose.against.prediction import floors_of, prediction_quality
 from flighttest.diagnose.records import FROM_REPEATS, FROM_RESIDUAL
+from flighttest.diagnose.residuals.prediction import floors_of, prediction_quality
 from flighttest.identify.fit import fit
 from flighttest.physics.model import Model
 

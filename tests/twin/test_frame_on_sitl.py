@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flighttest.diagnose.against.prediction import prediction_quality
+from flighttest.diagnose.residuals.prediction import prediction_quality
 from flighttest.flight import FlightSettings, fly
 from flighttest.identify.fit import fit
 from flighttest.identify.models.model_file import ModelFile, StoredParameter

@@ -25,8 +25,7 @@ from flighttest.diagnose.free_flight.reported import (
 from flighttest.diagnose.model import Finding, Untestable, short
 from flighttest.diagnose.records import WITH_GUSTS, FloorRow, ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
-from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
-from flighttest.diagnose.residuals.overlays import overlays
+from flighttest.diagnose.residuals.locate import locate, overlays, regime_curves, residual_map
 from flighttest.diagnose.selection.detectability import missing_channels, why_unseen
 from flighttest.errors import FitError
 from flighttest.estimation.estimator import Estimator

@@ -21,9 +21,13 @@ import numpy as np
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.answer import SearchSupport
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, settings
-from flighttest.diagnose.free_flight.estimates import ModelEstimates
+from flighttest.diagnose.free_flight.estimates import (
+    EDGE_OF_INTERVAL,
+    ModelEstimates,
+    coefficients_of,
+    null_inside_interval,
+)
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
-from flighttest.diagnose.free_flight.significance import EDGE_OF_INTERVAL, coefficients_of, null_inside_interval
 from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import acts_in

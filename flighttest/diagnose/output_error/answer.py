@@ -9,10 +9,8 @@ from flighttest.diagnose.answer import SEED, Asked, PartAnswer
 from flighttest.diagnose.model import Finding, short
 from flighttest.diagnose.output_error.reported import candidate_rows, finding
 from flighttest.diagnose.records import FROM_REPEATS, FROM_RESIDUAL, HeldOutRow, ParameterRow
-from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
-from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
-from flighttest.diagnose.residuals.mismatch import step_errors
-from flighttest.diagnose.residuals.overlays import overlays
+from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of, step_errors
+from flighttest.diagnose.residuals.locate import locate, overlays, regime_curves, residual_map
 from flighttest.diagnose.selection.baselines import baselines
 from flighttest.diagnose.selection.candidates import acts_in
 from flighttest.diagnose.selection.comparison import held_out_errors

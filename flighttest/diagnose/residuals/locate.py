@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, WORDS
 from flighttest.diagnose.model import Located, brief, flown, short
-from flighttest.diagnose.records import MapCell, Regime, RegimeCurve
+from flighttest.diagnose.records import MapCell, Overlay, Regime, RegimeCurve
 from flighttest.diagnose.residuals.discrepancy import correlation_times
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, power_of_noise
 from flighttest.estimation.drift import DRIFT
@@ -32,6 +32,7 @@ LEAST_EXPLAINED = 0.1
 MOST_PLACES = 6
 ORDERED = 0.25
 LEAST_RESPONSES = 12
+WORST = 2  # responses of each channel that are overlaid
 
 VARIABLES = {
     "speed_forward_m_s": ("forward speed", "m/s"), "speed_left_m_s": ("speed to the left", "m/s"),
@@ -361,4 +362,32 @@ def regime_curves(
                 "after": mean(after.unprofiled_residual[at]), "floor": place.floor,
             }
         )  # fmt: skip
+    return found
+
+
+def overlays(before: Linearisation, after: Linearisation, segments: Sequence[Segment]) -> list[Overlay]:
+    """Per channel, the responses of the base model with the largest mean square: time since the step, measured, and both predictions."""
+    found: list[Overlay] = []
+    for c, name in enumerate(before.channels):
+        at = before.channel == c
+        count = np.bincount(before.segment[at], minlength=len(segments))
+        power = np.bincount(
+            before.segment[at], before.unprofiled_residual[at] ** 2, minlength=len(segments)
+        ) / np.maximum(count, 1)
+        for i in np.argsort(-power)[:WORST]:
+            rows = np.flatnonzero(at & (before.segment == i))
+            if rows.size < 3:
+                continue
+            rows = rows[np.argsort(before.sample[rows])]
+            segment = segments[int(i)]
+            sample = before.sample[rows]
+            measured = np.asarray(segment.y[name])[sample]
+            found.append(
+                {
+                    "channel": short(name), "unit": CHANNELS[name].unit, "segment": segment.name, "kind": segment.kind,
+                    "t_s": (segment.t_s[sample] - segment.t_step_s).tolist(), "measured": measured.tolist(),
+                    "before": (measured - before.unprofiled_residual[rows]).tolist(),
+                    "after": (measured - after.unprofiled_residual[rows]).tolist(),
+                }
+            )  # fmt: skip
     return found

@@ -31,19 +31,6 @@ from flighttest.identify.validation.ablations import (
 )
 from flighttest.segments.model import Segment
 
-__all__ = [
-    "GROUPS",
-    "HORIZONS_S",
-    "UNITS",
-    "Figure5",
-    "HorizonError",
-    "Validation",
-    "Variation",
-    "comparable",
-    "joined_windows",
-    "validate",
-]
-
 FloatArray = NDArray[np.float64]
 
 HORIZONS_S = (0.1, 0.5, 1.0, 1.5, 3.0)

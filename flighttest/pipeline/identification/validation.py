@@ -11,7 +11,8 @@ from flighttest.datafiles import check_writable
 from flighttest.errors import InputError
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.identify.validation.validate import HORIZONS_S, Validation, Variation, comparable
+from flighttest.identify.validation.ablations import Variation
+from flighttest.identify.validation.validate import HORIZONS_S, Validation, comparable
 from flighttest.identify.validation.validate import validate as compare_models
 from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.recordings.fingerprints import differences

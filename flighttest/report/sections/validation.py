@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.validation.validate import GROUPS, UNITS, Validation, Variation
+from flighttest.identify.validation.ablations import GROUPS, UNITS, Variation
+from flighttest.identify.validation.validate import Validation
 from flighttest.report.document import OMITTED, Align, Bullets, Cell, Figure, Panel, Role, Section, Table, Trace
 from flighttest.report.numbers import number, unit
 

@@ -16,9 +16,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from flighttest.diagnose.against.prediction import floors_of, prediction_quality
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis
+from flighttest.diagnose.residuals.prediction import floors_of, prediction_quality
 from flighttest.diagnose.selection.held_out import held_out_groups
 from flighttest.errors import FitError
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, interval_factor
