@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from flighttest.diagnose.model import brief
-from flighttest.diagnose.records import ParameterRow
+from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief
+from flighttest.diagnose.records import CandidateRow, EvidenceRow, HeldOutRow, ParameterRow
 from flighttest.identify.fit import Fit
 from flighttest.physics.core import Term
 
@@ -30,6 +30,59 @@ def parameter_table(found: Fit) -> dict[str, ParameterRow]:
             "value": value, "std": spread, "unit": p.unit, "interval_95": [p.lower, p.upper], "scatter": spread, "at_bound": True,
         }  # fmt: skip
     return table
+
+
+def finding_of(
+    term: Term,
+    evidence: EvidenceRow,
+    parameters: Mapping[str, ParameterRow],
+    heldout: Mapping[str, HeldOutRow],
+    sentence: str,
+    rivals: Sequence[Rival] = (),
+) -> Finding:
+    """What is reported of a named term: CONFUSABLE where a rival explains the recordings as well."""
+    confusable = any(r.verdict is TermVerdict.CONFUSABLE for r in rivals)
+    return Finding(
+        term=term.id, title=term.title, family=term.family,
+        verdict=TermVerdict.CONFUSABLE if confusable else TermVerdict.SUPPORTED, equation=term.equation, plain=term.plain,
+        parameters=parameters, heldout=heldout, evidence=evidence, rivals=tuple(rivals), sentence=with_owner(term, sentence),
+        source=term.source, doubt=term.doubt,
+    )  # fmt: skip
+
+
+def evidence_row(
+    nats: float,
+    probability: float,
+    floors: float,
+    where: tuple[str, str],
+    heldout_gain: float,
+    p_value: float,
+    forces: tuple[float | None, float | None] = (None, None),
+) -> EvidenceRow:
+    """Evidence for a term. where: channel (short) and kind of maneuver; forces: its RMS in specific force, and what is left of that beside
+    the nuisance parameters."""
+    return {
+        "delta_bic": -2.0 * nats, "log_evidence": nats, "probability": probability, "floors": floors,
+        "where": {"channel": where[0], "kind": where[1]}, "heldout_gain": heldout_gain, "p_value": p_value,
+        "rms_force_m_s2": forces[0], "rms_force_left_m_s2": forces[1],
+    }  # fmt: skip
+
+
+def candidate_row(
+    term: str, nats: float, probability: float, floors: float | None, why: str, *, named: bool = False
+) -> CandidateRow:
+    """A candidate that was looked at."""
+    verdict = TermVerdict.SUPPORTED if named else TermVerdict.NOT_NEEDED
+    return {
+        "term": term, "verdict": verdict, "delta_bic": 0.0 - 2.0 * nats, "probability": probability, "floors": floors, "why": why,
+    }  # fmt: skip
+
+
+def share_gained(row: HeldOutRow | None) -> float:
+    """Of the held-out mean square above the floor, the share that is gone; 0 where nothing is above it."""
+    if row is None or not row["rmse_before"] > row["floor"]:
+        return 0.0
+    return float((row["rmse_before"] ** 2 - row["rmse_after"] ** 2) / (row["rmse_before"] ** 2 - row["floor"] ** 2))
 
 
 def with_owner(term: Term, sentence: str) -> str:

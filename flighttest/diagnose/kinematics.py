@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.answer import SEED, Asked, PartAnswer
-from flighttest.diagnose.findings import parameter_in_words, with_owner
-from flighttest.diagnose.model import Finding, Located, TermVerdict
+from flighttest.diagnose.findings import candidate_row, evidence_row, finding_of, parameter_in_words
+from flighttest.diagnose.model import Finding, Located
 from flighttest.diagnose.records import WITH_GUSTS, CandidateRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.comparison import level_of, probability_of
 from flighttest.estimation.uncertainty.distributions import fisher_beyond, fisher_quantile
@@ -88,10 +88,8 @@ class SensorError:
 
     def candidate(self) -> CandidateRow:
         """Its line among the candidates."""
-        return CandidateRow(
-            term=self.term.id, verdict=TermVerdict.SUPPORTED, delta_bic=-2.0 * self.nats, probability=self.probability,
-            floors=self.floors, why=f"by kinematics, p {self.p_value:.1g}",
-        )  # fmt: skip
+        why = f"by kinematics, p {self.p_value:.1g}"
+        return candidate_row(self.term.id, self.nats, self.probability, self.floors, why, named=True)
 
     def finding(self, kind: str, table: Mapping[str, ParameterRow]) -> Finding:
         """With its intervals as the final model has them. kind: of the segments that show it."""
@@ -101,16 +99,9 @@ class SensorError:
             f"{term.plain} ({', '.join(parameter_in_words(n, row) for n, row in rows.items())}); by kinematics alone: velocity and "
             f"accelerometer differ by {before:.2g} {self.unit} without it and by {after:.2g} {self.unit} with it"
         )
-        return Finding(
-            term=term.id, title=term.title, family=term.family, verdict=TermVerdict.SUPPORTED, equation=term.equation,
-            plain=term.plain, parameters=rows, heldout={self.channel: held}, rivals=(),
-            evidence={
-                "delta_bic": -2.0 * self.nats, "log_evidence": self.nats, "probability": self.probability, "floors": self.floors,
-                "where": {"channel": self.channel, "kind": kind}, "heldout_gain": 1.0 - (after / before) ** 2,
-                "p_value": self.p_value, "rms_force_m_s2": None, "rms_force_left_m_s2": None,
-            },
-            sentence=with_owner(term, sentence), source=term.source, doubt=term.doubt,
-        )  # fmt: skip
+        gain = 1.0 - (after / before) ** 2
+        evidence = evidence_row(self.nats, self.probability, self.floors, (self.channel, kind), gain, self.p_value)
+        return finding_of(term, evidence, rows, {self.channel: held}, sentence)
 
 
 @dataclass

@@ -7,9 +7,9 @@ import pytest
 
 from flighttest.diagnose.answer import TOGETHER, PartAnswer, error_left
 from flighttest.diagnose.conclusion import predicted_worse, verdict_of
-from flighttest.diagnose.findings import parameter_table
+from flighttest.diagnose.findings import parameter_table, share_gained
 from flighttest.diagnose.model import EXPLAINED_SHARE, Verdict
-from flighttest.diagnose.output_error.reported import held_out_gain, undetermined_sizes
+from flighttest.diagnose.output_error.reported import undetermined_sizes
 from flighttest.diagnose.records import ABOVE_FLOOR, WITH_GUSTS, HeldOutRow
 from flighttest.identify.fit import Estimate
 from flighttest.physics.catalogue import catalogue
@@ -69,7 +69,7 @@ def test_a_name_beside_intervals_that_contain_its_absence_says_so(intervals, sai
 )
 def test_the_gain_is_the_share_of_what_lies_above_the_floor(before, after, gain):
     held = {"f_z": {"rmse_before": before, "rmse_after": after, "floor": 1.0}}
-    assert held_out_gain(held, SimpleNamespace(place=("f_z_m_s2", "roll_step"))) == pytest.approx(gain)
+    assert share_gained(held["f_z"]) == pytest.approx(gain)
 
 
 @pytest.mark.parametrize(

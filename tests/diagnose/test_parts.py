@@ -396,7 +396,7 @@ def test_a_channel_that_is_masked_everywhere_is_not_compared():
         PredictionErrors(rows, residual), PredictionErrors(rows, 0.5 * residual), np.arange(4), floor
     )
     assert list(found) == ["f_z_m_s2"]
-    assert found["f_z_m_s2"].rmse_after == pytest.approx(0.5 * found["f_z_m_s2"].rmse_before)
+    assert found["f_z_m_s2"]["rmse_after"] == pytest.approx(0.5 * found["f_z_m_s2"]["rmse_before"])
 
 
 def test_a_rehearsed_channel_that_was_never_recorded_says_nothing():

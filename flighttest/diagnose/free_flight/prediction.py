@@ -28,13 +28,6 @@ def groups_left_out(found: FreeFlight) -> tuple[int, str]:
     return (many, "flights") if many >= 3 else (5, "pieces of the flight")
 
 
-def share_gained(row: HeldOutRow | None) -> float:
-    """Of the held-out mean square above the floor, the share that is gone; 0 where nothing is above it."""
-    if row is None or not row["rmse_before"] > row["floor"]:
-        return 0.0
-    return float((row["rmse_before"] ** 2 - row["rmse_after"] ** 2) / (row["rmse_before"] ** 2 - row["floor"] ** 2))
-
-
 def held_out_table(
     flown: Sequence[Segment], smaller: FreeFlight, larger: FreeFlight
 ) -> dict[str, dict[str, HeldOutRow]]:

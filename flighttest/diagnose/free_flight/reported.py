@@ -7,9 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from flighttest.channels import CHANNELS
-from flighttest.diagnose.findings import numbers_in_words, with_owner
+from flighttest.diagnose.findings import candidate_row, evidence_row, finding_of, numbers_in_words, share_gained
 from flighttest.diagnose.free_flight.equation_search import OFFSET_TERM, EquationSearch, NamedByEquations
-from flighttest.diagnose.free_flight.prediction import share_gained
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, short
 from flighttest.diagnose.records import CandidateRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.candidates import usual_size
@@ -48,38 +47,19 @@ def _finding(
     if named.term == WIND_TERM and len(search.winds) > 1:
         words = f"up to {max(w.speed for w in search.winds):.2g} m/s; each flight has its own"
     size = f"{named.size[channel]:.2g} {CHANNELS[channel].unit} RMS of {short(channel)}"
-    sentence = with_owner(term, f"{term.plain} ({words}); {size} beside the rest of the model")
+    sentence = f"{term.plain} ({words}); {size} beside the rest of the model"
     rivals = tuple(
         Rival(r, TermVerdict.CONFUSABLE, 1.0, what_separates(r, named.term)) for r in search.rivals_of(named.term)
     )
     if rivals:
         sentence += f"; {', '.join(r.term for r in rivals)} would explain it as well: {rivals[0].separated_by}"
     forces = [v for c, v in named.size.items() if c.startswith(("f_", "a_"))]
-    return Finding(
-        term=named.term,
-        title=term.title,
-        family=term.family,
-        verdict=TermVerdict.CONFUSABLE if rivals else TermVerdict.SUPPORTED,
-        equation=term.equation,
-        plain=term.plain,
-        parameters=parameters,
-        heldout={c: rows["all"] for c, rows in held.items()},
-        evidence={
-            "delta_bic": -2.0 * named.nats,
-            "log_evidence": named.nats,
-            "probability": probability_of(named.nats, len(search.offered)) / (1 + len(rivals)),
-            "floors": float(scale[channel]),
-            "where": {"channel": short(channel), "kind": "free"},
-            "heldout_gain": share_gained(held.get(short(channel), {}).get("all")),
-            "p_value": named.p_value,
-            "rms_force_m_s2": float(np.sqrt(sum(v**2 for v in forces))) if forces else None,
-            "rms_force_left_m_s2": None,
-        },
-        rivals=rivals,
-        sentence=sentence,
-        source=term.source,
-        doubt=term.doubt,
-    )
+    probability = probability_of(named.nats, len(search.offered)) / (1 + len(rivals))
+    gain = share_gained(held.get(short(channel), {}).get("all"))
+    force = float(np.sqrt(sum(v**2 for v in forces))) if forces else None
+    where = short(channel), "free"
+    row = evidence_row(named.nats, probability, float(scale[channel]), where, gain, named.p_value, (force, None))
+    return finding_of(term, row, parameters, {c: rows["all"] for c, rows in held.items()}, sentence, rivals)
 
 
 def held_at_null(search: EquationSearch, term: Term) -> dict[str, float]:
@@ -105,23 +85,16 @@ def candidates_of(search: EquationSearch) -> list[CandidateRow]:
     rows: list[CandidateRow] = []
     for n in search.named.values():
         channel, size = max(n.size.items(), key=lambda kv: kv[1])
-        rows.append(CandidateRow(
-            term=n.term, verdict=TermVerdict.SUPPORTED, delta_bic=-2.0 * n.nats, floors=None,
-            probability=probability_of(n.nats, len(search.offered)) / (1 + len(search.rivals_of(n.term))),
-            why=f"{size:.2g} {CHANNELS[channel].unit} RMS, p {n.p_value:.1g}",
-        ))  # fmt: skip
+        probability = probability_of(n.nats, len(search.offered)) / (1 + len(search.rivals_of(n.term)))
+        why = f"{size:.2g} {CHANNELS[channel].unit} RMS, p {n.p_value:.1g}"
+        rows.append(candidate_row(n.term, n.nats, probability, None, why, named=True))
     for term, (nats, why) in search.refused.items():
         if term not in search.named:
-            rows.append(CandidateRow(
-                term=term, verdict=TermVerdict.NOT_NEEDED, delta_bic=-2.0 * nats, probability=0.0, floors=None, why=why,
-            ))  # fmt: skip
+            rows.append(candidate_row(term, nats, 0.0, None, why))
     done = {r["term"] for r in rows}
     for s in search.screened:
         if s.term not in done:
-            rows.append(CandidateRow(
-                term=s.term, verdict=TermVerdict.NOT_NEEDED, delta_bic=0.0, probability=0.0, floors=None,
-                why=f"score test: p {s.p_value:.2g}",
-            ))  # fmt: skip
+            rows.append(candidate_row(s.term, 0.0, 0.0, None, f"score test: p {s.p_value:.2g}"))
     return rows
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from flighttest.diagnose.answer import SEED, Asked, PartAnswer
 from flighttest.diagnose.model import Finding, short
 from flighttest.diagnose.output_error.reported import candidate_rows, finding
-from flighttest.diagnose.records import FROM_REPEATS, FROM_RESIDUAL, HeldOutRow, ParameterRow
+from flighttest.diagnose.records import FROM_REPEATS, FROM_RESIDUAL, ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of, step_errors
 from flighttest.diagnose.residuals.locate import locate, overlays, regime_curves, residual_map
 from flighttest.diagnose.selection.baselines import baselines
@@ -16,7 +16,7 @@ from flighttest.diagnose.selection.candidates import acts_in
 from flighttest.diagnose.selection.comparison import held_out_errors
 from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
 from flighttest.diagnose.selection.fitted_models import FittedModels
-from flighttest.diagnose.selection.held_out import HeldOut, excess, gains_held_out, horizon_rmse
+from flighttest.diagnose.selection.held_out import excess, gains_held_out, horizon_rmse
 from flighttest.diagnose.selection.search import Search, silent
 from flighttest.estimation.estimator import Estimator
 from flighttest.identify.dead_time import onset_delay, start_values
@@ -88,7 +88,7 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
     for name, h in gains_held_out(before_held, after_held, asked.groups, floor, SEED).items():
         steps_b, steps_a = horizons_b.get(name, {}), horizons_a.get(name, {})
         made.heldout[short(name)] = {
-            "all": _held(h),
+            "all": h,
             **{k: {"rmse_before": steps_b[k], "rmse_after": steps_a[k]} for k in steps_b if k in steps_a},
         }
         made.floors[short(name)] = {
@@ -113,7 +113,3 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
         made.unseen += untestable(search, seen)
     made.candidates += candidate_rows(search)
     made.baselines |= baselines(search.estimator, base, now, segments, asked.previous)
-
-
-def _held(h: HeldOut) -> HeldOutRow:
-    return {"rmse_before": h.rmse_before, "rmse_after": h.rmse_after, "floor": h.floor, "gain_95": list(h.gain_95)}

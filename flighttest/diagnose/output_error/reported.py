@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from flighttest.diagnose.findings import numbers_in_words, with_owner
+from flighttest.diagnose.findings import candidate_row, evidence_row, finding_of, numbers_in_words, share_gained
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
-from flighttest.diagnose.records import CandidateRow, HeldOutRow, ParameterRow
+from flighttest.diagnose.records import CandidateRow, ParameterRow
 from flighttest.diagnose.selection.aliases import aliases_of
 from flighttest.diagnose.selection.candidates import null_value
-from flighttest.diagnose.selection.comparison import Evidence, held_out_errors
+from flighttest.diagnose.selection.comparison import held_out_errors
 from flighttest.diagnose.selection.held_out import gains_held_out
 from flighttest.diagnose.selection.proposals import LEAST_PREDICTED
 from flighttest.diagnose.selection.search import Search
@@ -26,12 +26,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
     assert search.floor is not None
     term, evidence = search.terms[term_id], search.evidence[term_id]
     before, after = held_out_errors(evidence.without, search.now, search.estimator, groups)
-    heldout = {
-        short(name): HeldOutRow(
-            rmse_before=h.rmse_before, rmse_after=h.rmse_after, floor=h.floor, gain_95=list(h.gain_95)
-        )
-        for name, h in gains_held_out(before, after, groups, search.floor, seed).items()
-    }
+    heldout = {short(name): row for name, row in gains_held_out(before, after, groups, search.floor, seed).items()}
     parameters = {n: v for n, v in table.items() if search.now.model.term_of(n) == term_id}
     rivals = tuple(
         Rival(
@@ -48,35 +43,17 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
         f"{term.plain} ({numbers}); {brief(evidence.floors)} noise floors in {short(evidence.place[0])} of {flown(evidence.place[1])}; "
         f"probability {_percent(evidence.probability)}{undetermined_sizes(term, parameters)}"
     )
-    sentence = with_owner(term, sentence)
     if confusable:
         others = ", ".join(r.term for r in confusable)
         sentence += f"; {others} would explain it as well, fly {confusable[0].separated_by} to separate them"
-    return Finding(
-        term=term_id,
-        title=term.title,
-        family=term.family,
-        verdict=TermVerdict.CONFUSABLE if confusable else TermVerdict.SUPPORTED,
-        equation=term.equation,
-        plain=term.plain,
-        parameters=parameters,
-        heldout=heldout,
-        evidence={
-            "delta_bic": -2.0 * evidence.nats,
-            "log_evidence": evidence.nats,
-            "probability": evidence.probability / (1 + len(confusable)),
-            "floors": evidence.floors,
-            "where": {"channel": short(evidence.place[0]), "kind": evidence.place[1]},
-            "heldout_gain": held_out_gain(heldout, evidence),
-            "p_value": chi2_beyond(max(2.0 * evidence.nats, 0.0), max(len(parameters), 1)),
-            "rms_force_m_s2": _rms_force(search, evidence.effect),
-            "rms_force_left_m_s2": _rms_force(search, evidence.profiled),
-        },
-        rivals=rivals,
-        sentence=sentence,
-        source=term.source,
-        doubt=term.doubt,
+    where = short(evidence.place[0]), evidence.place[1]
+    p_value = chi2_beyond(max(2.0 * evidence.nats, 0.0), max(len(parameters), 1))
+    forces = _rms_force(search, evidence.effect), _rms_force(search, evidence.profiled)
+    probability = evidence.probability / (1 + len(confusable))
+    row = evidence_row(
+        evidence.nats, probability, evidence.floors, where, share_gained(heldout[where[0]]), p_value, forces
     )
+    return finding_of(term, row, parameters, heldout, sentence, rivals)
 
 
 def undetermined_sizes(term: Term, parameters: Mapping[str, ParameterRow]) -> str:
@@ -87,13 +64,6 @@ def undetermined_sizes(term: Term, parameters: Mapping[str, ParameterRow]) -> st
         return ""
     of = "its coefficient" if len(held) == 1 else "each coefficient"
     return f"; its absence is excluded, although the interval of {of} contains it: sizes are determined together, not one by one"
-
-
-def held_out_gain(heldout: Mapping[str, HeldOutRow], evidence: Evidence) -> float:
-    """Of the held-out mean square above the noise floor, in the channel where the term shows most, the share that is gone with it."""
-    h = heldout[short(evidence.place[0])]
-    above = h["rmse_before"] ** 2 - h["floor"] ** 2
-    return float((h["rmse_before"] ** 2 - h["rmse_after"] ** 2) / above) if above > 0 else 0.0
 
 
 def _percent(probability: float) -> str:
@@ -115,12 +85,7 @@ def candidate_rows(search: Search) -> list[CandidateRow]:
     for e in {**search.rejected, **search.evidence}.values():
         named = e.term in search.evidence
         why = f"{brief(e.floors)} noise floors in {short(e.place[0])} of {flown(e.place[1])}" if named else e.why_not
-        found.append(
-            {
-                "term": e.term, "verdict": TermVerdict.SUPPORTED if named else TermVerdict.NOT_NEEDED, "delta_bic": -2.0 * e.nats,
-                "probability": e.probability, "floors": e.floors, "why": why,
-            }
-        )  # fmt: skip
+        found.append(candidate_row(e.term, e.nats, e.probability, e.floors, why, named=named))
     done = {f["term"] for f in found}
     if search.subsets is None or search.sizes is None:
         return found
@@ -132,10 +97,5 @@ def candidate_rows(search: Search) -> list[CandidateRow]:
             why = f"screened: log odds {s.log_odds:.1f} beside the final model"
             if small := s.log_odds > 0.0 and size < LEAST_PREDICTED:
                 why += f", but an effect of {size:.2g} noise floors, too small to be distinguished from a clean vehicle"
-            found.append(
-                {
-                    "term": term, "verdict": TermVerdict.NOT_NEEDED, "delta_bic": -2.0 * s.log_odds, "probability": probability,
-                    "floors": float(size) if small else None, "why": why,
-                }
-            )  # fmt: skip
+            found.append(candidate_row(term, s.log_odds, probability, float(size) if small else None, why))
     return found

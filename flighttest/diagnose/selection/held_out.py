@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from flighttest.diagnose.records import HeldOutRow
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.identify.validation.validate import HORIZONS_S
@@ -228,20 +229,10 @@ def worse_in_more(worse: int, better: int) -> str:
     )
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """One channel before and after, on groups not used: RMSE, floor, and the 95 % interval of the drop in RMSE (bootstrap over groups)."""
-
-    rmse_before: float
-    rmse_after: float
-    floor: float
-    gain_95: tuple[float, float]
-
-
 def gains_held_out(
     before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, seed: int = 0
-) -> dict[str, HeldOut]:
-    """Both models on the same samples."""
+) -> dict[str, HeldOutRow]:
+    """Both models on the same samples; gain_95: 95 % interval of the drop in RMSE (bootstrap over groups)."""
     draws = _resampled(groups, seed)
     found = {}
     for name in (c for c in before.rows.channels if c in after.rows.channels):
@@ -255,8 +246,10 @@ def gains_held_out(
         drops = np.sqrt((draws @ ss_b) / np.maximum(draws @ n_b, 1e-9)) - np.sqrt(
             (draws @ ss_a) / np.maximum(draws @ n_a, 1e-9)
         )
-        low, high = np.quantile(drops[draws @ n_b > 0], [0.025, 0.975])
-        found[name] = HeldOut(rmse(ss_b, n_b), rmse(ss_a, n_a), floor.of(name), (float(low), float(high)))
+        gain = np.quantile(drops[draws @ n_b > 0], [0.025, 0.975]).tolist()
+        found[name] = HeldOutRow(
+            rmse_before=rmse(ss_b, n_b), rmse_after=rmse(ss_a, n_a), floor=floor.of(name), gain_95=gain
+        )
     return found
 
 
