@@ -14,7 +14,7 @@ from flighttest.physics.core import Term
 
 def parameter_table(found: Fit) -> dict[str, ParameterRow]:
     """Name to value, std, unit and 95 % interval of every estimated parameter, as in model.yaml; scatter: std, as comparisons of two fits
-    take it; at_bound where an estimate lies on its bound."""
+    take it; at_bound where an estimate lies on its bound: with its whole range for an interval where it has none."""
     table: dict[str, ParameterRow] = {}
     for name, e in found.estimates.items():
         if e.std is None or e.interval_95 is None or name not in found.model.param:
@@ -24,6 +24,9 @@ def parameter_table(found: Fit) -> dict[str, ParameterRow]:
             "scatter": e.std if e.scatter is None else e.scatter,
         }  # fmt: skip
     for name in found.solution.at_bound:
+        if name in table:
+            table[name]["at_bound"] = True
+            continue
         p, value = found.model.param[name], found.solution.values[name]
         spread = (p.upper - p.lower) / float(np.sqrt(12.0))  # all that is known of it is its range
         table[name] = {

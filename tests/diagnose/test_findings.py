@@ -41,6 +41,12 @@ def test_a_parameter_at_its_bound_is_reported_by_its_range():
     assert (table[SHARE].get("at_bound"), table[TAU].get("at_bound")) == (True, None)
 
 
+def test_a_parameter_at_its_bound_with_an_interval_has_that_of_the_model():
+    """A lag at its bound was 0.012 to 0.2 s in the report and 0.012 to 0.025 s in model.yaml."""
+    row = parameter_table(fit_of((SHARE,), **{SHARE: (1.0, 0.1, (0.8, 1.0))}))[SHARE]
+    assert (row["std"], row["interval_95"], row["at_bound"]) == (0.1, [0.8, 1.0], True)
+
+
 def test_what_was_not_estimated_is_not_in_the_table():
     assert set(parameter_table(fit_of(**{SHARE: (0.9, None, None), TAU: (0.05, 0.01, (0.03, 0.07))}))) == {TAU}
 

@@ -233,6 +233,10 @@ def test_an_export_to_ardupilot_says_what_it_lacks_and_how_it_flies(tmp_path, ca
     monkeypatch.setattr(ardupilot, "frame_of", lambda *_args, **_more: FirmwareFrame(axes, {}, (), ()))
     said = exporting.export(file, "ardupilot", tmp_path).data["left_out_sentences"]
     assert said[0] == "ArduPilot's frame has no ground_effect"
+    assert "off over the voltages" in said[1]
+    doubtful = {**file.parameters, "alpha": replace(file.parameters["alpha"], identifiable=False)}
+    doubted = exporting.export(replace(file, parameters=doubtful), "ardupilot", tmp_path / "doubted")
+    assert "not known (alpha)" in doubted.data["left_out_sentences"][1]
     assert said[-1] == f"fly it: flighttest sim --backend sitl --frame {tmp_path}"
     with pytest.raises(ModelError, match="no attitude loops"):
         ardupilot.write_frame(replace(file, model=replace(file.model, attitude_loops=False)), tmp_path)

@@ -86,6 +86,13 @@ def _rotorpy(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str, 
     return [(path, "quad_params, and Commands: references and throttle to RotorPy's cmd_ctbm")], data
 
 
+def _over_voltages(stored: ModelFile, share: float) -> str:
+    alpha = stored.parameters.get("alpha")
+    if alpha is None or not alpha.identifiable:
+        return "how that of the model does is not known (alpha)"
+    return f"at most {share:.1%} off over the voltages of the model"
+
+
 def _ardupilot(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str, Any]]:
     from flighttest.twin import ardupilot
 
@@ -94,7 +101,7 @@ def _ardupilot(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str
         f"ArduPilot's frame has no {join(list(made.lacking), 'or')}"
         if made.lacking
         else "no term of the model is left out",
-        f"its thrust goes with the square of the voltage: at most {made.thrust_share:.1%} off over the voltages of the model",
+        f"its thrust goes with the square of the voltage: {_over_voltages(stored, made.thrust_share)}",
         "its drag is one number for all axes and follows the root of the thrust, and it loses thrust in a climb",
         f"on tilt steps of 0.3 rad and throttle steps of a fifth, 3 s long, this leaves {number(made.velocity_m_s, 2)} m/s and "
         f"{number(made.force_m_s2, 2)} m/s^2 at most against the model's own simulation in the middle of its voltages",
