@@ -300,7 +300,7 @@ def _readiness(s: Situation) -> list[Check]:
         )
     if s.state.armed:
         found.append(Check("armed", "the vehicle is armed already", "land and disarm it first"))
-    low = lowest_stick(s.parameters)
+    low = None if s.state.armed else lowest_stick(s.parameters)
     if low is not None and s.state.throttle_stick is not None and s.state.throttle_stick > low:
         what = (
             "the throttle stick is not down, and ArduCopter does not arm then (PILOT_THR_BHV bit 0, RC_OPTIONS bit 5)"
