@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from flighttest.estimation.likelihood_weights import start_noise
 from flighttest.estimation.problem import Problem, prior_std
-from flighttest.estimation.responses import nodes_of, zero_order_hold
+from flighttest.estimation.responses import Stacked, zero_order_hold
 from flighttest.estimation.solver import Start, solve
 from flighttest.frames import G_M_S2
 from flighttest.identify.fit import fit
@@ -68,7 +68,8 @@ def ipopt_single_shooting(problem: Problem, limit_s: float) -> tuple[float, bool
     part = next(p for p in problem.parts if p.block.name == "translation")
     began = time.perf_counter()
     delay = problem.values["T_d_thrust"]
-    rows = [nodes_of(r, delay) for r in part.responses]
+    made = [Stacked.of([r]).nodes(delay) for r in part.responses]
+    rows = [(one.rows, one.sample) for one in made]
     k = max(len(r[0]) for r in rows)
     m = len(rows)
     chain = single_shooting(part.block, part.outputs, k)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from flighttest.diagnose.answer import SEED, Asked, PartAnswer
 from flighttest.diagnose.findings import candidate_row, evidence_row, finding_of, parameter_in_words
@@ -228,13 +229,8 @@ def _mean(
 
 def _joined(held: Sequence[HeldEstimate]) -> HeldEstimate:
     """Estimates that share no parameter as one."""
-    size = sum(len(h.names) for h in held)
-    covariance, first = np.zeros((size, size)), 0
-    for h in held:
-        here = slice(first, first := first + len(h.names))
-        covariance[here, here] = h.covariance
-    names = tuple(n for h in held for n in h.names)
-    return HeldEstimate(names, {n: v for h in held for n, v in h.values.items()}, covariance, min(h.dof for h in held))
+    names, values = tuple(n for h in held for n in h.names), {n: v for h in held for n, v in h.values.items()}
+    return HeldEstimate(names, values, block_diag(*(h.covariance for h in held)), min(h.dof for h in held))
 
 
 def in_time(segments: Sequence[Segment], late_s: float) -> tuple[Segment, ...]:

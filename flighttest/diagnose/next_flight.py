@@ -27,7 +27,6 @@ from flighttest.estimation.likelihood_weights import start_noise
 from flighttest.estimation.linearisation import Optimum, orthonormal
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.identify.selection import able
-from flighttest.physics.blocks import Block
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import Edges, Run, simulate_many
@@ -208,18 +207,12 @@ def with_unrecorded(noise: Noise, problem: Problem) -> Noise:
     return Noise({**unrecorded, **noise.channel}, {**usual.disturbance, **noise.disturbance})
 
 
-def log_odds(
-    segments: tuple[Segment, ...],
-    now: Fitted,
-    block: str,
-    question: Question,
-    select: Callable[[Sequence[Segment], Block], Sequence[int]] = able,
-) -> float:
+def log_odds(segments: tuple[Segment, ...], now: Fitted, block: str, question: Question) -> float:
     """Information in nats about the question that this data would carry, recorded with the sensors there were."""
     noise = now.at.noise.channel
     recorded = [{c: v for c, v in s.y.items() if c in noise or c[:2] not in ("f_", "a_", "v_")} for s in segments]
     segments = tuple(replace(s, y=y) for s, y in zip(segments, recorded, strict=True))
-    estimator = Estimator(segments, block, select)
+    estimator = Estimator(segments, block, able)
     rivals = [t for t in (question.rival,) if t is not None and t.id not in now.model.terms]
     model = now.model.with_terms(*([question.term] if question.term.id not in now.model.terms else []), *rivals)
     if not estimator.problem(model).parts:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.responses import attitude_is_known
+from flighttest.estimation.responses import attitude_is_known, zero_order_hold
 from flighttest.frames import G_M_S2
 from flighttest.segments.model import Segment
 
@@ -41,9 +41,7 @@ def tilt_rad(segment: Segment) -> float:
         if f"{axis}_rad" in segment.y:
             found.append(_rms(segment.y[f"{axis}_rad"]))
         if f"{axis}_ref_rad" in segment.u:
-            times, values = segment.u[f"{axis}_ref_rad"]
-            at = np.clip(np.searchsorted(times, t, side="right") - 1, 0, None)
-            found.append(_rms(values[at]))
+            found.append(_rms(zero_order_hold(segment.u[f"{axis}_ref_rad"], t)))
     found.append(math.hypot(*(_rms(_acceleration(segment, axis)) for axis in "xy")) / G_M_S2)
     return max(found)
 
@@ -122,6 +120,4 @@ def _derivative(t: FloatArray, y: FloatArray, order: int) -> float:
     """The derivative of this order of the least-squares polynomial of this order; NaN for too few samples."""
     if t.size < order + 2:
         return float("nan")
-    columns = np.vander(t - t.mean(), order + 1, increasing=True)
-    coefficients = np.linalg.lstsq(columns, y, rcond=None)[0]
-    return float(coefficients[order]) * (2.0 if order == 2 else 1.0)
+    return float(np.polyfit(t - t.mean(), y, order)[0]) * math.factorial(order)

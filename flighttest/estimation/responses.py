@@ -371,12 +371,6 @@ class Stacked:
         return found
 
 
-def nodes_of(response: Response, delay_s: float, step_s: float = MAX_STEP_S) -> tuple[FloatArray, IndexArray]:
-    """Nodes (k, n_data) of one response for a delay, and the node of each sample (n,)."""
-    found = Stacked.of([response]).nodes(delay_s, step_s)
-    return found.rows, found.sample
-
-
 def node_bucket(k: int) -> int:
     """The number of nodes a response of k nodes is padded to."""
     return next((b for b in _BUCKETS if b >= k), -(-k // 512) * 512)

@@ -11,13 +11,19 @@ from scipy.signal import lsim
 from flighttest.estimation.integration.filters import forced_response, free_response
 from flighttest.estimation.integration.kernel import Kernel
 from flighttest.estimation.interpolation import between_samples
-from flighttest.estimation.responses import Response, nodes_of
+from flighttest.estimation.responses import MAX_STEP_S, Response, Stacked
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import rk4_stages
 from tests.identify.campaign import TRUTH, first_order, second_order
 
 BLOCKS = {b.name: b for b in Model().blocks}
+
+
+def nodes_of(response, delay_s, step_s=MAX_STEP_S):
+    """Nodes (k, n_data) of one response for a delay, and the node of each sample (n,)."""
+    found = Stacked.of([response]).nodes(delay_s, step_s)
+    return found.rows, found.sample
 
 
 def response(t, edges, values, e=None, n_states=4):

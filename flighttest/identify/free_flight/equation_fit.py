@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from flighttest.errors import FitError
 from flighttest.estimation.linearisation import FloatArray
@@ -117,14 +118,8 @@ def _with_errors(made: Fit, found: HeldEstimate) -> Fit:
 
 def _joined(first: Covariance, names: Sequence[str], matrix: FloatArray, dof: float) -> Covariance:
     """Covariance of parts of the model, which share no parameter."""
-    k, q = len(first.names), len(names)
-
-    def both(a: FloatArray, b: FloatArray) -> FloatArray:
-        whole = np.zeros((k + q, k + q))
-        whole[:k, :k], whole[k:, k:] = a, b
-        return whole
-
-    more = None if first.discrepancy is None else both(first.discrepancy, np.zeros((q, q)))
+    more = None if first.discrepancy is None else block_diag(first.discrepancy, np.zeros_like(matrix))
     return Covariance(
-        (*first.names, *names), both(first.matrix, matrix), both(first.model, matrix), np.append(first.dof, np.full(q, dof)), more,
+        (*first.names, *names), block_diag(first.matrix, matrix), block_diag(first.model, matrix),
+        np.append(first.dof, np.full(len(names), dof)), more,
     )  # fmt: skip

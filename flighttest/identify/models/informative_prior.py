@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from flighttest.identify.fit import Fit
 from flighttest.identify.models.model_blocks import ModelData
@@ -43,9 +44,8 @@ def carry_over(data: ModelData, base: ModelFile, names: Sequence[str]) -> ModelD
     at = [data["covariance"]["order"].index(n) for n in order]
     old = [n for n in names if n in base.order]
     own = [base.order.index(n) for n in old]
-    matrix = np.zeros((len(order) + len(old),) * 2)
-    matrix[: len(order), : len(order)] = np.array(data["covariance"]["matrix"], dtype=float)[np.ix_(at, at)]
-    matrix[len(order) :, len(order) :] = base.covariance[np.ix_(own, own)]
+    here = np.array(data["covariance"]["matrix"], dtype=float)
+    matrix = block_diag(here[np.ix_(at, at)], base.covariance[np.ix_(own, own)])
     order += old
     for name in names:
         stored = base.parameters[name]
