@@ -264,7 +264,9 @@ def test_an_effect_that_would_have_made_it_another_flight_is_not_added(departure
     assert bool(trial.sized_effects(case, flown)) is taken
 
 
-def test_the_size_of_an_effect_is_of_what_it_changes_and_not_of_other_windows_or_another_optimum(shared_data):
+def test_the_size_of_an_effect_is_of_what_it_changes_and_not_of_other_windows_or_another_optimum(
+    shared_data, monkeypatch
+):
     """On this flight nothing at all had 0.47 noise floors, and a small asymmetry of thrust 1.85, as had any effect that moved a cut:
     windows of free flight were compared by their number."""
     log = open_recording(shared_data / "arducopter_logs" / "sitl_4.7dev_steps.tlog")
@@ -274,3 +276,8 @@ def test_the_size_of_an_effect_is_of_what_it_changes_and_not_of_other_windows_or
         flown.size({"thrust_asymmetry": {"ln_sigma_ratio": 1.5}}) < 1.3
     )  # 0.5 to 1.0 by where the first window begins
     assert flown.size({"accelerometer_bias": {"bias_x": -0.25, "bias_y": 0.2, "bias_z": 0.3}}) > 10.0
+    # Half a minute of it need not determine what the whole log does.
+    monkeypatch.setattr(trial, "PART_S", 30.0)
+    short = (trial.part(log, 0.5),)
+    assert trial.FlownTrial.of(short, 11.1, 0.82, (log,)).vehicle == flown.vehicle
+    assert trial.FlownTrial.of(short, 11.1, 0.82).vehicle != flown.vehicle
