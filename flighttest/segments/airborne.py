@@ -217,18 +217,13 @@ def _leaves(recording: Recording, start: float, end: float) -> float | None:
     t = recording.channel("roll_rad")[0] if recording.has("roll_rad", "pitch_rad") else np.zeros(0)
     t = t[(t >= start) & (t <= end)]
     far = np.maximum(*(_beside_asked(recording, axis, t) for axis in ("roll", "pitch"))) if t.size else np.zeros(0)
-    beyond = np.flatnonzero(far > _LOST_RAD)
-    for k in beyond:
-        if t[k] - start >= _LED_S and _lasts(t[k:], far[k:] > _LOST_RAD):
+    beyond = far > _LOST_RAD
+    for k in np.flatnonzero(beyond & (t - start >= _LED_S)):
+        soon = slice(k, int(np.searchsorted(t, t[k] + _ASKED_S, side="right")))
+        if np.ptp(t[soon]) * beyond[soon].mean() >= _LOST_S:
             followed = t[:k][far[:k] <= _FOLLOWED_RAD]
             return float(followed[-1]) if followed.size and followed[-1] - start >= _LED_S else None
     return None
-
-
-def _lasts(t: FloatArray, beyond: NDArray[np.bool_]) -> bool:
-    """Whether it is `_LOST_S` of the second that begins with t (n,)."""
-    soon = t <= t[0] + _ASKED_S
-    return bool(soon.sum() > 2) and float(np.ptp(t[soon]) * beyond[soon].mean()) >= _LOST_S
 
 
 def _beside_asked(recording: Recording, axis: str, t: FloatArray) -> FloatArray:
