@@ -159,7 +159,7 @@ class Estimator:
             m, n, n_y = part.y.shape
             n_l, n_f = len(part.locals), part.n_free_states
             scale = np.tile(std := at.noise.counted(part.outputs), n)
-            j_p, j_l = made.by(names), made.by(part.locals) / scale[:, None]
+            j_p, j_l = made.jacobian_by(names), made.jacobian_by(part.locals) / scale[:, None]
             precision = 1.0 / prior_std(part, at.noise)
             residual, prior = (made.residual / std).reshape(m, -1), (part.start_local() - l_i) * precision
             basis = orthonormal_each(np.concatenate([j_l, precision[..., None] * np.eye(n_l)], axis=1))
@@ -215,7 +215,7 @@ class Estimator:
         """Per part (m, samples times outputs, len(names)): derivatives of the outputs, in the channels' units. values: other than the
         point's."""
         problem, there = self.problem(model), self.values_of(model, at, values)
-        return [made.by(names) for made in problem.evaluate(there, problem.placed(at.nuisance), list(names))]
+        return [made.jacobian_by(names) for made in problem.evaluate(there, problem.placed(at.nuisance), list(names))]
 
     def differences(
         self, model: Model, at: Optimum, others: Iterable[tuple[Model, Mapping[str, float] | None]]

@@ -89,7 +89,7 @@ class PartEvaluation:
     jacobian: FloatArray
     columns: tuple[str, ...]
 
-    def by(self, names: Sequence[str]) -> FloatArray:
+    def jacobian_by(self, names: Sequence[str]) -> FloatArray:
         """(m, samples times outputs, len(names)) columns of the Jacobian by name, 0 where there is none."""
         m, n, n_y = self.residual.shape
         found = np.zeros((m, n * n_y, len(names)))

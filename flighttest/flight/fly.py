@@ -237,12 +237,11 @@ class _Flight:
         self._stage("checking the vehicle")
         session.stop_asked = None
         self._inherit(set_params or simulator)
-        found = preflight.checks(situation)
+        placed, outside_m = place_zone(control, self.plan.vehicle.zone)
+        found = [*preflight.checks(situation), *preflight.home_checks(outside_m)]
         if simulator:
-            what = (
-                "live RC input was" if self.plan.vehicle.zone.fence == "polygon" else "live RC input and a fence were"
-            )
-            self.notes.append(f"a simulator: {what} not asked for; parameters are set as needed")
+            what = "was" if self.plan.vehicle.zone.fence == "polygon" else "and a fence were"
+            self.notes.append(f"a simulator: live RC input {what} not asked for; parameters are set as needed")
         if set_params or simulator:
             found = self._mend(found, waived)
         self.options.on_vehicle(self.recorder.manifest["firmware"], dict(self._parameters))
@@ -250,7 +249,7 @@ class _Flight:
         preflight.refuse(found, waived)
         self._note(preflight.battery_words(situation))
         self._announce(fence_words(replace(situation, parameters=self._parameters)))
-        self.notes += filter(None, [place_zone(control, self.plan.vehicle.zone, waived)])
+        self.notes += filter(None, [placed])
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
         self._bring_fence(control, set_params or simulator)
@@ -313,6 +312,7 @@ class _Flight:
             self._stage("bringing the zone's fence onto the vehicle")
             control.until(self.session.now_s() + 0.3)  # a position about the zone's origin
             place = control.state, control.reader.origin_m
+            preflight.refuse_armed(self.vehicle.armed)
             self._note(self._fence.put(self.plan, *place, may_set=may_set, extend=self.options.extend_fence))
             if "FENCE_TOTAL" in self._parameters:
                 self._parameters["FENCE_TOTAL"] = params.read_parameter(self.session, "FENCE_TOTAL") or 0.0

@@ -308,6 +308,6 @@ def _notes(fitted: Sequence[FittedCell], fenced: int, script: Script, setting: S
 
 
 def _home(zone: Zone) -> tuple[str, ...]:
-    beside = zone.beside_m((0.0, 0.0, 0.0)) if zone.origin is None else 0.0
-    words = f"home, where it takes off, is {beside:.0f} m outside of the flight zone: `run` refuses that unless `zone` is waived"
-    return (words,) if beside > 0.0 else ()
+    outside_m = zone.outside_m((0.0, 0.0, 0.0)) if zone.origin is None else 0.0
+    words = f"home, where it takes off, is {outside_m:.0f} m outside of the flight zone: `run` refuses that unless `zone` is waived"
+    return (words,) if outside_m > 0.0 else ()

@@ -30,7 +30,7 @@ _FALLEN_S = 1.0  # upside down for so long: no flip lasts longer, and thrust dow
 _LOST_RAD, _FOLLOWED_RAD = math.radians(30.0), math.radians(5.0)
 _ASKED_S = 1.0  # loops of multirotors have answered by then
 _LOST_S = 0.2  # in all, of a second: one wrong sample of an attitude is no loss of control
-_LED_S = 2.0  # followed before: what never did has references of something else
+_FOLLOWED_S = 2.0  # followed before: what never did has references of something else
 
 
 def flights(recording: Recording) -> tuple[tuple[float, float], ...]:
@@ -206,27 +206,27 @@ def _without_control(
     found: list[tuple[float, float]] = []
     begin = start
     for stop in ends:
-        if begin < stop <= end and (lost := _leaves(recording, begin, stop)) is not None:
+        if begin < stop <= end and (lost := _lost_from(recording, begin, stop)) is not None:
             found.append((lost, stop))
         begin = max(begin, stop)
     return found
 
 
-def _leaves(recording: Recording, start: float, end: float) -> float | None:
-    """Where roll or pitch leaves what was asked for, s; None where both stay with it, or never were."""
+def _lost_from(recording: Recording, start: float, end: float) -> float | None:
+    """Where roll or pitch leaves what was asked for, s; None where both stay with it, or never followed it."""
     t = recording.channel("roll_rad")[0] if recording.has("roll_rad", "pitch_rad") else np.zeros(0)
     t = t[(t >= start) & (t <= end)]
-    far = np.maximum(*(_beside_asked(recording, axis, t) for axis in ("roll", "pitch"))) if t.size else np.zeros(0)
+    far = np.maximum(*(_outside_targets(recording, axis, t) for axis in ("roll", "pitch"))) if t.size else np.zeros(0)
     beyond = far > _LOST_RAD
-    for k in np.flatnonzero(beyond & (t - start >= _LED_S)):
+    for k in np.flatnonzero(beyond & (t - start >= _FOLLOWED_S)):
         soon = slice(k, int(np.searchsorted(t, t[k] + _ASKED_S, side="right")))
         if np.ptp(t[soon]) * beyond[soon].mean() >= _LOST_S:
             followed = t[:k][far[:k] <= _FOLLOWED_RAD]
-            return float(followed[-1]) if followed.size and followed[-1] - start >= _LED_S else None
+            return float(followed[-1]) if followed.size and followed[-1] - start >= _FOLLOWED_S else None
     return None
 
 
-def _beside_asked(recording: Recording, axis: str, t: FloatArray) -> FloatArray:
+def _outside_targets(recording: Recording, axis: str, t: FloatArray) -> FloatArray:
     """(n,) rad that an angle is outside of all its targets of the last `_ASKED_S`, held; 0 where there were none, or it is not known."""
     nearest = np.full(t.size, np.inf)
     angle = np.interp(t, *recording.channel(f"{axis}_rad"))

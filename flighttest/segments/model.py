@@ -29,7 +29,7 @@ class Flaw(Enum):
     LATE = "a target left more than 0.1 s late during the response"
     TOO_SHORT = "less than 0.3 s was recorded after the step"
     TOO_FEW = "fewer than eight samples were recorded during the response"
-    CONTROL_LOST = "control was lost: roll or pitch more than 30 degrees from what was asked for"
+    CONTROL_LOST = "control was lost: the attitude left what was asked for"
     ABORTED = "the flight was aborted during the response"
     NOT_A_NUMBER = "a recorded channel is not a number for most of the response"
     REFERENCE_MOVED = "another reference moved during the response"

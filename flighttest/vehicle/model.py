@@ -34,7 +34,7 @@ class Zone:
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return np.stack([c * p[..., 0] - s * p[..., 1], s * p[..., 0] + c * p[..., 1], p[..., 2]], axis=-1)
 
-    def beside_m(self, place: ArrayLike) -> float:
+    def outside_m(self, place: ArrayLike) -> float:
         """How far a place (zone coordinates, (3,) m) lies outside of the walls over ground, m; 0 inside."""
         x, y, _ = np.asarray(place, dtype=float)
         (x0, x1), (y0, y1) = self.x_m, self.y_m

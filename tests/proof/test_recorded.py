@@ -270,7 +270,7 @@ def test_the_size_of_an_effect_is_of_what_it_changes_and_not_of_other_windows_or
     """On this flight nothing at all had 0.47 noise floors, and a small asymmetry of thrust 1.85, as had any effect that moved a cut:
     windows of free flight were compared by their number."""
     log = open_recording(shared_data / "arducopter_logs" / "sitl_4.7dev_steps.tlog")
-    flown = trial.FlownTrial.of((trial.part(log, 0.157),), 11.1, 0.82)
+    flown = trial.FlownTrial.of((trial.part(log, 0.157),), 11.1, 0.82, (log,))
     assert flown.size({}) < 0.01
     assert (
         flown.size({"thrust_asymmetry": {"ln_sigma_ratio": 1.5}}) < 1.3
@@ -280,4 +280,4 @@ def test_the_size_of_an_effect_is_of_what_it_changes_and_not_of_other_windows_or
     monkeypatch.setattr(trial, "PART_S", 30.0)
     short = (trial.part(log, 0.5),)
     assert trial.FlownTrial.of(short, 11.1, 0.82, (log,)).vehicle == flown.vehicle
-    assert trial.FlownTrial.of(short, 11.1, 0.82).vehicle != flown.vehicle
+    assert trial.FlownTrial.of(short, 11.1, 0.82, short).vehicle != flown.vehicle

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -10,21 +9,20 @@ from numpy.typing import NDArray
 
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight.execution.control import FlightControl
-from flighttest.flight.preparation import preflight
 from flighttest.mavlink.dialect import dialect
 from flighttest.vehicle.model import Zone
 
 FAR_M = 500.0
 
 
-def place_zone(control: FlightControl, zone: Zone, waived: Collection[str] = ()) -> str:
-    """Take the zone's origin from home, or from the place that the zone states; a sentence where the vehicle states no home, or takes off
-    outside of the zone and that check was waived, else ''.
+def place_zone(control: FlightControl, zone: Zone) -> tuple[str, float]:
+    """Take the zone's origin from home, or from the place that the zone states. Gives a sentence where the vehicle states no home, else '',
+    and how far home lies outside of the zone's walls, m.
 
-    Nothing happens without a position. LinkError, PreflightError where the place cannot be known, is far from home, or home is outside.
+    Nothing happens without a position. LinkError, PreflightError where the place cannot be known or is far from home.
     """
     if not control.state.position_ok:
-        return ""
+        return "", 0.0
     home, text = control.vehicle.home_m(), ""
     if home is None:
         assert control.state.position_m is not None
@@ -39,13 +37,10 @@ def place_zone(control: FlightControl, zone: Zone, waived: Collection[str] = ())
             raise PreflightError([(f"the flight zone is more than {FAR_M:g} m from home", "correct the zone's origin")])
     else:
         place = home
-    found = preflight.home_checks(zone.beside_m(zone.from_world(home - place)))
-    preflight.refuse(found, waived)
-    text = "; ".join(filter(None, [text, *preflight.waiver_notes(found, waived)]))
     _use(control, place)
     control.gate = replace(control.gate, zone_placed=True)
     control.after()
-    return text
+    return text, zone.outside_m(zone.from_world(home - place))
 
 
 def place_home(control: FlightControl, zone: Zone) -> None:

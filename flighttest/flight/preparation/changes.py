@@ -8,8 +8,8 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from flighttest.errors import LinkError, PreflightError
-from flighttest.flight.preparation.preflight import figure
+from flighttest.errors import LinkError
+from flighttest.flight.preparation.preflight import figure, refuse_armed
 from flighttest.link import parameters as params
 from flighttest.link.session import Session
 from flighttest.recording.manifest import ParametersSet
@@ -152,8 +152,7 @@ class ParameterChanges:
             self._before[own[name][0]] = LeftParameter(before.value if before else known, own[name][1], self._hardware)
         keep(self._before)
         for name, value in own.values():
-            if armed():
-                raise PreflightError([("armed: the vehicle was armed meanwhile", "land and disarm it first")])
+            refuse_armed(armed())
             was = self._known[name]
             self._own.add(name)
             params.write_parameter(self._session, name, value, self._known)

@@ -314,11 +314,11 @@ def _readiness(s: Situation) -> list[Check]:
     return found
 
 
-def home_checks(beside_m: float) -> list[Check]:
-    """beside_m: how far home lies outside of the zone's walls, m."""
-    if not beside_m > 0.0:
+def home_checks(outside_m: float) -> list[Check]:
+    """outside_m: how far home lies outside of the zone's walls, m."""
+    if not outside_m > 0.0:
         return []
-    what = f"home, where it takes off, is {beside_m:.0f} m outside of the flight zone"
+    what = f"home, where it takes off, is {outside_m:.0f} m outside of the flight zone"
     remedy = "carry it into the zone, or correct the zone; --waive zone where the way to it is free and watched"
     return [Check("zone", what, remedy)]
 
@@ -336,6 +336,12 @@ def refuse(found: list[Check], waived: Collection[str]) -> None:
     left = [check for check in found if check.name not in waived]
     if left:
         raise PreflightError([(f"{check.name}: {check.what}", check.remedy) for check in left])
+
+
+def refuse_armed(armed: bool) -> None:
+    """PreflightError where the vehicle is armed by now: somebody else flies it, and nothing is set on it."""
+    if armed:
+        raise PreflightError([("armed: the vehicle was armed meanwhile", "land and disarm it first")])
 
 
 def waiver_notes(found: list[Check], waived: Collection[str]) -> list[str]:

@@ -38,7 +38,7 @@ def coverage(found: Fit, segments: Sequence[Segment], select: Select = "paper") 
     stds: dict[str, list[np.ndarray]] = {}
     z = normal_quantile(0.975)
     for part, evaluation in zip(problem.parts, made, strict=True):
-        derivatives = evaluation.by(names).reshape(*evaluation.residual.shape, -1)
+        derivatives = evaluation.jacobian_by(names).reshape(*evaluation.residual.shape, -1)
         for k, channel in enumerate(part.outputs):
             slopes = derivatives[:, :, k]
             variance = (

@@ -109,7 +109,7 @@ class FlownTrial:
         recordings: tuple[Recording, ...],
         nominal_voltage_v: float,
         answer_1_s: float,
-        whole: tuple[Recording, ...] = (),
+        whole: tuple[Recording, ...],
     ) -> FlownTrial:
         """whole: what the recordings are parts of, to which the vehicle is fitted. Two minutes need not determine a lag: parts of one log
         had spin-up rates of 21 and 25 1/s, all of it 15.6, and an asymmetry of 1.5 that the former flew was found as 1.04 +- 0.13.
@@ -124,7 +124,7 @@ class FlownTrial:
             r.name: [(s.t_s[0] - STEP_MARGIN_S, s.t_s[-1]) for s in segments if s.run == r.name and s.kind != "free"]
             for r in recordings
         }
-        parted = any(a is not b for a, b in zip(whole, recordings, strict=False))
+        parted = any(a is not b for a, b in zip(whole, recordings, strict=True))
         every = _segments(whole) if parted else segments
         known = _left_and_noise(every, nominal_voltage_v)[0] if parted else left
         # Steps that a script asked for have references of their own; loops that somebody steered need their innovations.
