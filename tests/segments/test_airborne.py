@@ -145,6 +145,28 @@ def test_after_control_is_lost_nothing_of_that_flight_is_used(take_offs, until):
     assert all(s.t_s[-1] <= begin or s.t_s[0] >= end for s in segments)
 
 
+def between(t, begin, end, inside, outside=0.0):
+    return np.where((t >= begin) & (t < end), inside, outside)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "asked", "begins"),
+    [
+        (lambda t: between(t, 30.0, 33.0, 0.6), lambda t: 0.0 * t, 29.9),  # 34 degrees beside
+        (lambda t: np.clip(0.225 * (t - 30.0), 0.0, 0.9), lambda t: 0.0 * t, 30.4),  # slowly: from 5 degrees on
+        (
+            lambda t: between(t, 0.0, 31.0, 0.7),
+            lambda t: between(t, 0.0, 28.5, 0.7),
+            29.5,
+        ),  # stays for two seconds and a half
+    ],
+    ids=["by little", "slowly", "stays behind"],
+)
+def test_control_is_lost_from_where_the_attitude_left_what_was_asked_for(pitch, asked, begins):
+    ((begin, _),) = control_lost(steered(pitch, asked))
+    assert begin == pytest.approx(begins, abs=0.15)
+
+
 @pytest.mark.parametrize(
     ("pitch", "asked", "period_s"),
     [
@@ -155,10 +177,11 @@ def test_after_control_is_lost_nothing_of_that_flight_is_used(take_offs, until):
         ),
         (lambda t: np.where(np.abs(t - 30.0) < 0.05, 2.0, follows(t)), follows, 0.1),  # one wrong sample
         (lambda t: 0.8 + 0.0 * t, follows, 0.1),  # never followed: references of something else
+        (lambda t: between(t, 1.0, 60.0, 0.8), follows, 0.1),  # for a second, by chance
         (lambda t: tumbles(t - 1.5), follows, 25.0),  # what was asked for in the last second is not known
         (lambda t: follows(t) + np.where((t > 30.0) & (t < 33.0), 0.5, 0.0), follows, 0.1),  # 29 degrees beside
     ],
-    ids=["a large step", "a wrong sample", "other references", "stale references", "near"],
+    ids=["a large step", "a wrong sample", "other references", "by chance", "stale references", "near"],
 )
 def test_control_is_not_lost_where_the_attitude_follows_or_nothing_shows(pitch, asked, period_s):
     recording = steered(pitch, asked, period_s=period_s)
