@@ -204,7 +204,7 @@ SEARCHED = (
     ("dead time", "identify/dead_time.py"),
     ("doublet", "script/profiles/attitude.py"),
     ("equality constraint", "identify/equality_constraints.py"),
-    ("equation error", "estimation/equation_error.py"),
+    ("equation error", "estimation/equation_error/__init__.py"),
     ("Fisher information", "identify/expected_information.py"),
     ("frequency response", "identify/response_analysis/frequency_response.py"),
     ("Gauss-Newton", "estimation/gauss_newton.py"),

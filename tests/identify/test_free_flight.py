@@ -18,6 +18,7 @@ from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, any_w
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
+from flighttest.sim.plants.slung import SlungLoad
 
 GAIN, SIGMA, DELAY_S, DRAG = 50.0, 18.0, 0.06, np.array([0.4, 0.3, 0.5])
 DT, RATE_HZ = 0.01, 50
@@ -34,9 +35,10 @@ def flight(
     climb=0.5,
     quadratic=(0.0, 0.0, 0.0),
     drag=DRAG,
+    load=None,
 ):
     """Windows of free flight under a position loop that answers gusts; m, s. Euler attitude with a lag of 60 ms, gusts of 1 s.
-    quadratic, drag: force over mass by the square of the airspeed along each axis, 1/m, and by the airspeed, 1/s."""
+    quadratic, drag: force over mass by the square of the airspeed along each axis, 1/m, and by the airspeed, 1/s; load: on a cable."""
     rng = np.random.default_rng(seed)
     n = int(seconds / DT)
     p, v, angles, w = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(3)
@@ -58,6 +60,8 @@ def flight(
         rotation = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
         along = rotation.T @ (v - air)
         force = np.array([offset * a_t, 0.0, a_t]) - (drag + quadratic * np.abs(along)) * along + rotation.T @ w
+        if load is not None:
+            force = rotation.T @ load.pull(DT, tuple(rotation @ force))
         out[k] = [k * DT, *angles, *force, *v, *p, throttle, a_t]
         a_t += (GAIN * late.pop(0) - a_t) * (1.0 - np.exp(-SIGMA * DT))
         angles = angles + (asked - angles) * DT / 0.06
@@ -99,6 +103,20 @@ def test_adjoining_windows_are_one_stretch():
     assert len(whole) == 1
     assert whole[0].t_s.size == sum(w.t_s.size for w in windows)
     assert len(stretches([w for k, w in enumerate(windows) if k != 20])) == 2
+
+
+@pytest.mark.parametrize("accelerometer", [True, False])
+def test_a_load_that_swings_as_stretches_begin_is_found_as_it_is(accelerometer):
+    load = SlungLoad(1.0, {"payload_ratio": 0.15, "cable_m": 0.8, "swing_damping": 0.02})
+    windows = flight(120.0, 3, accelerometer=accelerometer, load=load)
+    parted = stretches([w for k, w in enumerate(windows) if k % 5])
+    assert len(parted) > 8
+    model = Model(("body", "linear_drag", "slung_payload"), attitude_loops=False)
+    found = estimate(parted, model, start={"cable_m": 1.0})
+    # With a load at rest as each stretch begins: cables of 0.69 m, damped by 0.06.
+    assert found.values["payload_ratio"] == pytest.approx(0.15, abs=0.03)
+    assert found.values["cable_m"] == pytest.approx(0.8, abs=0.02)
+    assert found.values["swing_damping"] == pytest.approx(0.02, abs=0.01)
 
 
 @pytest.mark.parametrize("accelerometer", [True, False])

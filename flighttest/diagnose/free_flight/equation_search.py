@@ -20,7 +20,7 @@ import numpy as np
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.answer import SearchSupport
-from flighttest.diagnose.free_flight.equation_screen import Screened, screen, settings
+from flighttest.diagnose.free_flight.equation_screen import Screened, of_unknown_start, screen, settings
 from flighttest.diagnose.free_flight.estimates import (
     EDGE_OF_INTERVAL,
     ModelEstimates,
@@ -242,7 +242,17 @@ def _step(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term
     # The noise of an attitude lasts as long as what air does to it, and holds that until it is in the model: the score test of blocks says
     # little of it.
     level, odds = level_of(len(known)), math.inf if asked.part == "translation" else log_odds_asked(len(known))
-    picks = [s for s in found.screened if s.p_value < level or s.nats > odds][:TRIED]
+    significant = [s for s in found.screened if s.p_value < level or s.nats > odds][:TRIED]
+    if _taken(significant, found, asked, known):
+        return True
+    # A swing that lasts is in the noise of a model without it, where a score test does not see it.
+    untried = (s for s in found.screened if s not in significant and s.term not in found.refused)
+    return _taken([s for s in untried if of_unknown_start(known[s.term])], found, asked, known)
+
+
+def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> bool:
+    """Estimate terms anew and take the best; False where none is to be taken."""
+    now = found.final
     estimated: list[tuple[Screened, FreeFlight]] = []
     # Each is estimated from the present estimate and at another of its settings (without a trim by integrators), there from usual loops:
     # without a moment of the air six flights of a Crazyflie had loops of 63 rad/s, damped 0.02, from where none was found.

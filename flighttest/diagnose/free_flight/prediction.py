@@ -12,7 +12,7 @@ from flighttest.diagnose.answer import SEED
 from flighttest.diagnose.model import short
 from flighttest.diagnose.records import HeldOutRow
 from flighttest.diagnose.selection.held_out import worse_in_more
-from flighttest.estimation.equation_error import Autoregression, Whitened, block_rows, whiten
+from flighttest.estimation.equation_error import Autoregression, Whitened, beside_initial_states, block_rows, whiten
 from flighttest.estimation.linearisation import FloatArray, inverse_of_gram
 from flighttest.identify.free_flight import FreeFlight
 from flighttest.identify.free_flight.equations import Equations
@@ -78,6 +78,7 @@ def _left_out(
     """Channel to (errors as predicted without their group, their group, errors of the whole estimate); noise: of one-step predictions."""
     with np.errstate(all="ignore"):
         streams, columns = Equations(one.model, flown, one.part).streams(one.values, one.estimated, one.per_flight)
+    streams = beside_initial_states(streams, one.noise)
     place = [columns.index(n) for n in one.names]
     count, kind = groups_left_out(one)
     rows = block_rows(one.seconds, one.period_s)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
+from flighttest.estimation.equation_error import InitialStates
 from flighttest.estimation.integration.kernel import Kernel
 from flighttest.estimation.integration.native_block import LANES
 from flighttest.estimation.responses import Response, Stacked, max_step_s, prepare
@@ -30,16 +31,18 @@ MEMORY_S, MEMORY_CHUNK_S = 20.0, 40.0
 
 
 class _Piece(NamedTuple):
-    """A piece of a stretch with a lead before it. kept: its samples behind the lead; at: positions (n,) of these in the stretch."""
+    """A piece of a stretch with a lead before it. kept: its samples behind the lead; at: positions (n,) of these in the stretch; first:
+    position in the stretch that it is integrated from."""
 
     segment: Segment
     kept: slice
     at: IndexArray
+    first: int
 
 
 class Chunks:
     """Each piece of a stretch has a lead of its own before it. There are as many as fill the lanes of the kernel, in which sixteen take no
-    longer than the longest of them."""
+    longer than the longest of them. begins: how many initial states they have (`estimation.equation_error.initial_states`)."""
 
     def __init__(
         self,
@@ -76,11 +79,20 @@ class Chunks:
         row = [sizes.max() * i + np.arange(sizes[i])[p.kept] for i, p in enumerate(pieces)]
         ends = np.cumsum([0, *map(len, cut)])
         self._rows = [np.concatenate(row[a:b]) for a, b in pairwise(ends)]
+        # Pieces that are integrated from the same sample begin in the same states.
+        begins = dict.fromkeys((k, p.first) for k, some in enumerate(cut) for p in some)
+        number = {one: i for i, one in enumerate(begins)}
+        self.begins = len(begins)
+        self._begun = [
+            np.concatenate([np.full(p.at.size, number[k, p.first]) for p in some]) for k, some in enumerate(cut)
+        ]
+        self._spread = {n: block.spread[n] for n in block.free_states if n in block.spread}
         known = flown[0].context.filters
         self._filters = {c: hz for c in outputs if (hz := float(known.get(CHANNELS[c].group, 0.0))) > 0.0}
 
     def simulated(self, values: Mapping[str, float], names: Sequence[str]) -> list[tuple[FloatArray, FloatArray]]:
-        """Of every stretch the outputs (n, c) at the samples kept, and their derivatives by `names` (n, c, q), without disturbances."""
+        """Of every stretch the outputs (n, c) at the samples kept, without disturbances, and their derivatives (n, c, q + k) by q `names`
+        and by the k initial states that nothing measured, in units of their prior standard deviation."""
         block, width = self._block, len(self._outputs)
         free = tuple(n for n in block.params if n in names)
         p = np.array([values[n] for n in block.params])
@@ -89,12 +101,19 @@ class Chunks:
         y, dy = kernel.at_samples(p, self._start + values["K"] * self._start_by_gain, nodes, self._mask, True)
         y, dy = y.reshape(-1, width), dy.reshape(-1, width, dy.shape[-1])
         columns = [list(names).index(n) for n in free]
+        unknown = [len(free) + block.free_states.index(n) for n in self._spread]
+        spread = np.array([*self._spread.values()])
         found = []
         for rows in self._rows:
-            slopes = np.zeros((rows.size, width, len(names)))
+            slopes = np.zeros((rows.size, width, len(names) + len(unknown)))
             slopes[..., columns] = dy[rows, :, : len(free)]
+            slopes[..., len(names) :] = dy[rows][..., unknown] * spread
             found.append((y[rows], slopes))
         return found
+
+    def states(self, k: int, slopes: FloatArray, rows: IndexArray | slice) -> InitialStates:
+        """What the samples `rows` of those kept of a stretch began from, with derivatives (n, k) there."""
+        return InitialStates(slopes, self._begun[k][rows]) if slopes.shape[1] else InitialStates()
 
     def along(self, k: int, values: FloatArray) -> FloatArray:
         """Of values (n, ...) of a stretch those at the samples kept."""
@@ -111,7 +130,7 @@ def _cut(s: Segment, changed: Mapping[str, FloatArray], lead_s: float, length_s:
     for start, stop in pairwise(np.linspace(begin, end, count + 1) - 1e-9):
         a, first, b = (int(np.searchsorted(s.t_s, t)) for t in (start - lead_s, start, stop))
         if b - first >= LEAST_SAMPLES:
-            found.append(_Piece(chunk(s, changed, a, b), slice(first - a, b - a), np.arange(first, b)))
+            found.append(_Piece(chunk(s, changed, a, b), slice(first - a, b - a), np.arange(first, b), a))
     return found
 
 

@@ -51,17 +51,23 @@ class Equations:
         own = [n for n in names if n in per_flight]
         columns = (*shared, *(f"{n}@{flight}" for flight in self.flights for n in own))
         found: list[Stream] = []
+        begun = 0  # initial states so far
         for g, flight in enumerate(self.flights):
             mine = {n: values.get(f"{n}@{flight}", values[n]) for n in self.model.names}
-            left = [one for equation in self._of(flight) for one in equation.evaluated(mine, [*shared, *own])]
+            left = []
+            for equation in self._of(flight):
+                left += [
+                    one._replace(begun=one.begun.after(begun)) for one in equation.evaluated(mine, [*shared, *own])
+                ]
+                begun += equation.chunks.begins
             if self.part != "translation":
                 left.sort(key=lambda one: one.channel)  # the same order whether a term couples the axes or not
-            for channel, residual, slopes, state in left:
+            for channel, residual, slopes, state, states in left:
                 placed = np.zeros((residual.size, len(columns)))
                 placed[:, : len(shared)] = slopes[:, : len(shared)]
                 at = len(shared) + g * len(own)
                 placed[:, at : at + len(own)] = slopes[:, len(shared) :]
-                found.append(Stream(channel, g, residual, placed, state))
+                found.append(Stream(channel, g, residual, placed, state, states))
         return found, columns
 
     def _of(self, flight: str) -> list[TranslationEquations | LoopEquations]:

@@ -7,8 +7,9 @@ references alone make them (`loops`); an hour of flight in seconds.
     found = estimate(flown, Model() + "steady_wind", per_flight=("w_north", "w_west"))   # one wind per flight, drag shared
 
 Of the translation, where an accelerometer was recorded, its three axes are the equations; else the increments of velocity, world axes,
-against the mean of the modelled acceleration at both ends. Both are compared over whole stretches, without initial states and without
-integration of the velocity, so that a gust is noise of its own moment and of no later one. The noise is autoregressive and estimated
+against the mean of the modelled acceleration at both ends. Both are compared over whole stretches, without integration of the velocity, so
+that a gust is noise of its own moment and of no later one; what a load swung by at their start is a random effect
+(`estimation.equation_error.initial_states`). The noise is autoregressive and estimated
 (`estimation.equation_error`), which keeps estimates consistent where a pilot or a position loop answers gusts, as long as the model is
 driven by the past alone: by commands, which act after a delay, and by the velocity predicted from the samples before.
 """
@@ -25,10 +26,12 @@ from numpy.typing import NDArray
 from flighttest.errors import FitError
 from flighttest.estimation.equation_error import (
     Stream,
+    beside_initial_states,
     block_rows,
     heterogeneity,
     lack_of_fit,
     log_scale,
+    misfit_of,
     noises,
     step,
     whiten,
@@ -258,7 +261,7 @@ class _Errors(NamedTuple):
 
 class _PredictionErrors:
     """The objective of an estimate (`estimation.gauss_newton`): squares of the innovations and of the priors' departures. The noise of each
-    channel is estimated anew at every step; there are no nuisance parameters."""
+    channel is estimated anew at every step; initial states that nothing measured are predicted."""
 
     def __init__(self, equations: Equations, asked: _Asked, values: Mapping[str, float]) -> None:
         self.equations, self.asked = equations, asked
@@ -273,7 +276,7 @@ class _PredictionErrors:
         self.space = Space(*(np.array([getattr(p, k) for p in params]) for k in ("lower", "upper", "scale")))
         self.mean, self.std = (np.array([asked.prior(c)[k] for c in self.columns]) for k in (0, 1))
         self.rows = block_rows(sum(float(np.ptp(s.t_s)) for s in equations.flown), equations.period_s)
-        self.noise = noises(self.first)
+        self.noise, self.log_determinant = noises(self.first), 0.0
 
     def start(self) -> _Point:
         """At the start values, inside the bounds."""
@@ -298,7 +301,8 @@ class _PredictionErrors:
 
     def learn(self, at: _Point, _iteration: int) -> bool:
         """The noise of the residuals."""
-        before, self.noise = self.noise, noises(at.streams)
+        before, self.noise = self.noise, noises(beside_initial_states(at.streams, self.noise))
+        self.log_determinant = misfit_of(at.streams, self.noise)[1]
         return all(abs(self.noise[c].std / before[c].std - 1.0) < SETTLED for c in self.noise)
 
     def cost(self, at: _Point) -> float:
@@ -306,12 +310,12 @@ class _PredictionErrors:
         if not at.finite:
             return np.inf
         with np.errstate(over="ignore"):  # a step too far may diverge: its cost is infinite
-            total = sum(float(np.sum(self.noise[s.channel].whitened(s.residual) ** 2)) for s in at.streams)
+            total, _ = misfit_of(at.streams, self.noise)
         return total + float(np.sum(((at.theta - self.mean) / self.std) ** 2))
 
     def log_likelihood(self, cost: float) -> float:
         """Of a cost, with the noise as learned last."""
-        return -log_scale(self.first, self.noise) - 0.5 * cost
+        return -log_scale(self.first, self.noise) - 0.5 * (cost + self.log_determinant)
 
     def normal_equations(self, at: _Point) -> tuple[FloatArray, FloatArray, None]:
         """Of innovations and priors."""
@@ -343,7 +347,8 @@ class _PredictionErrors:
             c for c, e, s in zip(self.columns, error, self.std, strict=True) if np.isfinite(s) and e > LEANS * s
         )
         channels = dict.fromkeys(s.channel for s in at.streams)
-        every = {c: np.concatenate([s.residual for s in at.streams if s.channel == c]) for c in channels}
+        left = beside_initial_states(at.streams, self.noise)
+        every = {c: np.concatenate([s.residual for s in left if s.channel == c]) for c in channels}
         return FreeFlight(
             self.asked.model, self.columns, self.values(at.theta), known.covariance, known.between, self.noise,
             {c: float(np.sqrt(np.mean(r**2))) for c, r in every.items()},
@@ -360,7 +365,7 @@ class _PredictionErrors:
         made = step(rows, self.mean - at.theta, self.std)
         own = np.array(["@" in c for c in self.columns])
         spread, extra = heterogeneity(rows, own, self.std)
-        lacks = lack_of_fit(at.streams, self.noise)
+        lacks = lack_of_fit(beside_initial_states(at.streams, self.noise), self.noise)
         if self.asked.part == "translation":  # velocity and throttle drive all of it
             wrong = sum((lacks[c].ratio - 1.0) * _gram(rows.columns[rows.channel == c]) for c in lacks)
         else:  # a moment of the air is driven by a velocity that is no state of the loops

@@ -69,7 +69,9 @@ class LoopEquations:
                 for a, b in unbroken(t[seen], good):
                     own, along, of = (_means(one[seen[a:b]], many) for one in (residual[:, c], slopes[:, c], state))
                     if len(own):
-                        yield Residual(channel, own - own.mean(), along - along.mean(axis=0), of)
+                        along, first = along - along.mean(axis=0), seen[a:b][: len(own) * many : many]
+                        begun = self.chunks.states(k, along[:, len(names) :], first)
+                        yield Residual(channel, own - own.mean(), along[:, : len(names)], of, begun)
 
 
 def _means(values: FloatArray, many: int) -> FloatArray:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.equation_error import InitialStates
 from flighttest.estimation.responses import attitude_is_known
 from flighttest.physics.blocks import VELOCITY
 from flighttest.segments.model import Segment
@@ -67,12 +68,14 @@ def _joined(windows: Sequence[Segment]) -> Segment:
 
 class Residual(NamedTuple):
     """What one equation leaves over a stretch. channel; residual (n,) measured less modelled; slopes (n, q) derivatives of the modelled by
-    the parameters asked for; state (n, k) that the equation may be wrong as a function of (`estimation.equation_error.lack_of_fit`)."""
+    the parameters asked for; state (n, k) that the equation may be wrong as a function of (`estimation.equation_error.lack_of_fit`); begun:
+    by the initial states of its pieces, where they are unknown."""
 
     channel: str
     residual: FloatArray
     slopes: FloatArray
     state: FloatArray
+    begun: InitialStates = InitialStates()
 
 
 def sampling_period_s(flown: Sequence[Segment]) -> float:

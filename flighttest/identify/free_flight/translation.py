@@ -11,11 +11,12 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.interpolation import filled
 from flighttest.estimation.responses import attitude_angles, zero_order_hold
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.identify.free_flight.chunks import Chunks
 from flighttest.identify.free_flight.stretches import Residual, unbroken
-from flighttest.physics.blocks import ACCELERATION, FORCE, VELOCITY
+from flighttest.physics.blocks import ACCELERATION, FELT, FORCE, VELOCITY
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -54,13 +55,20 @@ def predicted(t: FloatArray, values: FloatArray, slope: FloatArray | None) -> Fl
     return np.asarray(found)
 
 
-def _velocity(s: Segment) -> dict[str, FloatArray]:
-    """The three velocities of a stretch, world, each predicted from the past; with the accelerometer where all of it was recorded."""
+def _measured(s: Segment) -> dict[str, FloatArray]:
+    """Of a stretch, world: the three velocities, each predicted from the past, with the accelerometer where all of it was recorded; and the
+    specific force, from the accelerometer, else from the velocities."""
     slopes: dict[str, FloatArray] = {}
     if all(n in s.y and np.isfinite(s.y[n]).any() for n in FORCE):
-        a = np.einsum("nij,nj->ni", rotation_from_euler(attitude_angles(s)), np.stack([s.y[n] for n in FORCE], axis=1))
-        slopes = dict(zip(VELOCITY, (a - [0.0, 0.0, G_M_S2]).T, strict=True))
-    return {n: predicted(s.t_s, s.y[n], slopes.get(n)) for n in VELOCITY}
+        felt = np.einsum(
+            "nij,nj->ni", rotation_from_euler(attitude_angles(s)), np.stack([s.y[n] for n in FORCE], axis=1)
+        )
+        slopes = dict(zip(VELOCITY, (felt - [0.0, 0.0, G_M_S2]).T, strict=True))
+    else:
+        felt = np.stack([np.gradient(filled(s.t_s, s.y[n], 0.0), s.t_s) for n in VELOCITY], axis=1)
+        felt[:, 2] += G_M_S2
+    velocity = {n: predicted(s.t_s, s.y[n], slopes.get(n)) for n in VELOCITY}
+    return velocity | dict(zip(FELT, felt.T, strict=True))
 
 
 def _state(s: Segment, velocity: Mapping[str, FloatArray]) -> FloatArray:
@@ -77,14 +85,14 @@ class TranslationEquations:
     def __init__(self, model: Model, flown: Sequence[Segment]) -> None:
         self.model = model
         self.block = (model.without_terms(LATENCY) if LATENCY in model.terms else model).measured_velocity
-        velocities = [_velocity(s) for s in flown]
+        measured = [_measured(s) for s in flown]
         swings = any(n != "a_t_m_s2" for n in self.block.free_states)
         force = tuple(n for n in FORCE if all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown))
         self.outputs = force or ACCELERATION
-        self.chunks = Chunks(flown, self.block, self.outputs, model, long_memory=swings, changed=velocities)
+        self.chunks = Chunks(flown, self.block, self.outputs, model, long_memory=swings, changed=measured)
         seen = (np.stack([s.y[n] for n in (force or VELOCITY)], axis=1) for s in flown)
         self.measured = [self.chunks.along(k, one) for k, one in enumerate(seen)]
-        states = (_state(s, v) for s, v in zip(flown, velocities, strict=True))
+        states = (_state(s, v) for s, v in zip(flown, measured, strict=True))
         self.states = [self.chunks.along(k, one) for k, one in enumerate(states)]
         self.times = [self.chunks.along(k, s.t_s) for k, s in enumerate(flown)]
 
@@ -98,6 +106,7 @@ class TranslationEquations:
         """Of every stretch without gaps."""
         for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names)):
             t, seen, state = self.times[k], self.measured[k], self.states[k]
+            shift = int(self.outputs == ACCELERATION)  # an increment belongs to the sample at its end
             if self.outputs == ACCELERATION and LATENCY in values:
                 column = names.index(LATENCY) if LATENCY in names else None
                 predicted, slopes = _late(t, predicted, slopes, values[LATENCY], column)
@@ -110,7 +119,8 @@ class TranslationEquations:
             for c, channel in enumerate(self.outputs):
                 good = np.isfinite(residual[:, c]) & np.isfinite(slopes[:, c]).all(axis=1)
                 for a, b in unbroken(t, good):
-                    yield Residual(channel, residual[a:b, c], slopes[a:b, c], state[a:b])
+                    begun = self.chunks.states(k, slopes[a:b, c, len(names) :], slice(a + shift, b + shift))
+                    yield Residual(channel, residual[a:b, c], slopes[a:b, c, : len(names)], state[a:b], begun)
 
 
 def _late(

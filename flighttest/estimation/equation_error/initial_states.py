@@ -1,0 +1,112 @@
+"""Initial states of unknown value, in equations of motion: random effects.
+
+A load on a cable swings when a stretch of flight begins, by as much as nothing else shows. To first order an equation leaves
+
+    r = C d + N b + e,    b ~ N(0, I),
+
+of parameters d, of initial states b in units of their prior standard deviation, and of noise e, here white. What remains of r and C beside
+the best linear unbiased prediction of b (Henderson, Biometrics 31, 1975; Laird and Ware, Biometrics 38, 1982),
+
+    b = (N' N + I)^-1 N' r,
+
+and the predictions themselves are rows of a regression whose sum of squares is r' V^-1 r with V = I + N N'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class InitialStates:
+    """derivatives (n, k) of the modelled by the k initial states that each row began from, in units of their prior standard deviation;
+    number (n,): of these states, rising along the rows, one for all equations of the same piece of flight."""
+
+    derivatives: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    number: IndexArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    def __bool__(self) -> bool:
+        """Whether there are any."""
+        return self.derivatives.size > 0
+
+    def after(self, others: int) -> InitialStates:
+        """Numbered behind so many others."""
+        return replace(self, number=self.number + others)
+
+    def whitened(self, whiten: Callable[[FloatArray], FloatArray], reach: int) -> list[Along]:
+        """Those of each number, by a filter along the rows that reaches so many rows further."""
+        n, k = self.derivatives.shape
+        first = np.flatnonzero(np.diff(self.number, prepend=-1))
+        ends = [*first[1:].tolist(), n]
+        # Neighbours apart, so that a filter that reaches into the next rows does not mix them.
+        apart = np.zeros((n, 2, k))
+        apart[np.arange(n), (np.searchsorted(first, np.arange(n), side="right") - 1) % 2] = self.derivatives
+        made = whiten(apart)
+        found = []
+        for i, a in enumerate(first.tolist()):
+            end = min(ends[i] + reach, ends[min(i + 1, len(ends) - 1)])
+            found.append(Along(int(self.number[a]), slice(a, end), made[a:end, i % 2]))
+        return found
+
+
+class Along(NamedTuple):
+    """Whitened derivatives (m, k) by the initial states of one number, at these rows."""
+
+    number: int
+    rows: slice
+    columns: FloatArray
+
+
+@dataclass(frozen=True)
+class PredictedStates:
+    """Best linear unbiased predictions of initial states. numbers (s,); states (s, k, c): of each of c regressands; log_determinant: of
+    N' N + I."""
+
+    numbers: IndexArray
+    states: FloatArray
+    log_determinant: float
+
+    def of(self, number: int | IndexArray) -> FloatArray:
+        """(k, c) of a number, (n, k, c) of several."""
+        return np.asarray(self.states[np.searchsorted(self.numbers, number)])
+
+
+def predictions_of(streams: Sequence[tuple[Sequence[Along], FloatArray]]) -> PredictedStates:
+    """Of the initial states in several equations, each with its whitened regressands (n, c). Neighbouring numbers alone overlap."""
+    numbers = np.unique([one.number for some, _ in streams for one in some]).astype(np.intp)
+    k = next((one.columns.shape[1] for some, _ in streams for one in some), 0)
+    width = streams[0][1].shape[1] if streams else 0
+    place = {int(n): i * k for i, n in enumerate(numbers)}
+    gram, right = np.zeros((2 * k, numbers.size * k)), np.zeros((numbers.size * k, width))  # lower diagonals
+    gram[:1] = 1.0
+    for some, values in streams:
+        for i, one in enumerate(some):
+            at = place[one.number]
+            right[at : at + k] += one.columns.T @ values[one.rows]
+            _add(gram, at, at, one.columns.T @ one.columns)
+            after = some[i + 1] if i + 1 < len(some) else one
+            if place[after.number] == at + k:
+                both = slice(after.rows.start, min(one.rows.stop, after.rows.stop))
+                own, other = (s.columns[both.start - s.rows.start : both.stop - s.rows.start] for s in (one, after))
+                _add(gram, at, place[after.number], other.T @ own)
+    if not numbers.size:
+        return PredictedStates(numbers, np.zeros((0, 0, width)), 0.0)
+    factor = cholesky_banded(gram, lower=True)
+    states = cho_solve_banded((factor, True), right)
+    return PredictedStates(numbers, states.reshape(numbers.size, k, width), float(2.0 * np.sum(np.log(factor[0]))))
+
+
+def _add(gram: FloatArray, column: int, row: int, block: FloatArray) -> None:
+    """A block of the Gram matrix, rows of it at `row`, to its lower diagonals."""
+    for i, j in np.ndindex(block.shape):
+        if row + i >= column + j:
+            gram[row + i - column - j, column + j] += block[i, j]

@@ -1,0 +1,166 @@
+"""Least squares on whitened equations: one step, its covariance by blocks, and what flights differ by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.estimation.equation_error.autoregression import Autoregression
+from flighttest.estimation.equation_error.streams import Stream, predicted_states, whitened_rows
+from flighttest.estimation.linearisation import inverse_of_gram
+
+FloatArray = NDArray[np.float64]
+
+FEWEST_GROUPS = 3  # of which a variance between them can be determined
+LEAST_POWER = 0.01  # of the most informative group: one with less does not determine a parameter
+BLOCK_S = (1.0, 5.0)  # of one cluster of the sandwich: what whitening left of correlation ends within a second
+WANTED_BLOCKS = 40  # a sandwich over fewer understates errors (Cameron, Gelbach, Miller 2008)
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Streams whitened and stacked: residual (N,), columns (N, q); of every row (N,) its group, its block, about 5 s each, its channel,
+    which is empty for predictions of initial states."""
+
+    residual: FloatArray
+    columns: FloatArray
+    group: NDArray[np.intp]
+    block: NDArray[np.intp]
+    channel: NDArray[np.str_]
+
+    def information(self) -> tuple[FloatArray, FloatArray]:
+        """Normal equations: (q, q) and (q,)."""
+        return self.columns.T @ self.columns, self.columns.T @ self.residual
+
+
+def block_rows(seconds: float, period_s: float) -> int:
+    """Samples of one block of the sandwich: the longest of `BLOCK_S` that leaves `WANTED_BLOCKS` in so many seconds."""
+    return max(round(float(np.clip(seconds / WANTED_BLOCKS, *BLOCK_S)) / period_s), 10)
+
+
+def whiten(streams: Sequence[Stream], noise: Mapping[str, Autoregression], rows_per_block: int) -> Whitened:
+    """Every stream by its channel's noise, beside its initial states (`initial_states`), whose predictions are rows as well. Blocks are
+    stretches of rows of one group, for standard errors that do not assume whiteness."""
+    used = [s for s in streams if s.residual.size]
+    if not used:
+        q, none = streams[0].columns.shape[1] if streams else 0, np.zeros(0, dtype=np.intp)
+        return Whitened(np.zeros(0), np.zeros((0, q)), none, none, none.astype(np.str_))
+    made = [np.column_stack(whitened_rows(noise[s.channel], s)) for s in used]
+    blocks = []
+    starts: dict[tuple[str, int], int] = {}
+    for s in used:
+        # The channels of one moment are of one block: a gust moves them all.
+        begin = starts.get((s.channel, s.group), 0)
+        starts[s.channel, s.group] = begin + s.residual.size
+        blocks.append((begin + np.arange(s.residual.size)) // rows_per_block)
+    group, channel = [np.full(s.residual.size, s.group) for s in used], [s.channel for s in used]
+    states, along = predicted_states(used, noise, made)
+    begins: dict[int, tuple[int, int]] = {}  # of each number the stream and row that it begins at
+    for i, some in enumerate(along):
+        for one in some:
+            begins.setdefault(one.number, (i, one.rows.start))
+            made[i][one.rows] -= one.columns @ states.of(one.number)
+    for number, (i, row) in begins.items():
+        made.append(-states.of(number))
+        blocks.append(np.full(len(made[-1]), blocks[i][row]))
+        group.append(np.full(len(made[-1]), used[i].group))
+        channel.append("")
+    rows, of, at = np.concatenate(made), np.concatenate(group), np.concatenate(blocks)
+    many = np.zeros(of.max() + 1, dtype=np.intp)  # blocks of each group
+    np.maximum.at(many, of, at + 1)
+    at += (np.cumsum(many) - many)[of]
+    return Whitened(rows[:, 0], rows[:, 1:], of, at, np.repeat(channel, [len(m) for m in made]))
+
+
+@dataclass(frozen=True)
+class Step:
+    """A Gauss-Newton step: delta (q,); covariance (q, q) by the information alone, robust (q, q) by blocks; chi2: the weighted sum of
+    squares before it."""
+
+    delta: FloatArray
+    covariance: FloatArray
+    robust: FloatArray
+    chi2: float
+
+
+def step(rows: Whitened, prior_mean: FloatArray, prior_std: FloatArray) -> Step:
+    """Least squares with a Gaussian prior of the step, prior_std (q,) infinite where there is none.
+
+    robust: the sandwich over blocks (Liang and Zeger 1986), with the few-cluster factor n / (n - 1); not below the information's. A
+    direction that neither data nor prior determine has an infinite variance.
+    """
+    hessian, score = rows.information()
+    precision = np.where(np.isfinite(prior_std), 1.0 / np.where(np.isfinite(prior_std), prior_std, 1.0) ** 2, 0.0)
+    full = hessian + np.diag(precision)
+    scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
+    scaled = full / np.outer(scale, scale)
+    value, vector = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    known = value > 1e-10 * max(float(value.max(initial=0.0)), 1e-300)
+    inverse = (vector[:, known] / value[known]) @ vector[:, known].T
+    covariance = inverse / np.outer(scale, scale)
+    delta = covariance @ (score + precision * prior_mean)
+    left = rows.residual - rows.columns @ delta
+    n = int(rows.block.max(initial=-1)) + 1
+    scores = np.zeros((n, hessian.shape[0]))
+    np.add.at(scores, rows.block, rows.columns * left[:, None])
+    meat = scores.T @ scores * (n / max(n - 1, 1))
+    # What priors contribute is no estimate of these blocks.
+    robust = covariance @ (meat + np.diag(precision)) @ covariance
+    unknown = vector[:, ~known] / scale[:, None]
+    lost = np.einsum("ij,ij->i", unknown, unknown) > 0.0
+    at = np.arange(len(delta))
+    below = np.diag(robust) < np.diag(covariance)
+    grow = np.where(below, np.sqrt(np.diag(covariance) / np.maximum(np.diag(robust), 1e-300)), 1.0)
+    robust = robust * np.outer(grow, grow)
+    if lost.any():
+        strong = np.abs(unknown * scale[:, None]).max(axis=1, initial=0.0) > 0.1
+        covariance[at[strong], at[strong]] = np.inf
+        robust[at[strong], at[strong]] = np.inf
+    return Step(delta, covariance, robust, float(rows.residual @ rows.residual))
+
+
+def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What groups differ by in shared parameters: (q,) standard deviation of each, 0 where errors account for it, and (q, q) what it adds
+    to the covariance.
+
+    own (q,): columns that belong to one group. Every group's one-step estimate of all parameters is one value of each shared one with its
+    error; the variance between groups is DerSimonian and Laird's (1986). It moves a group's own parameters by what they make up for it,
+    and the shared value by its mean over the groups.
+    """
+    q = own.size
+    spread, extra = np.zeros(q), np.zeros((q, q))
+    groups = np.unique(rows.group)
+    if groups.size < FEWEST_GROUPS:
+        return spread, extra
+    known = 1.0 / prior_std**2  # zero where there is no prior
+    parts = []
+    for g in groups:
+        some = rows.columns[rows.group == g]
+        hessian, score = some.T @ some, some.T @ rows.residual[rows.group == g]
+        mine = own & (np.diag(hessian) > 0.0)
+        precision = 1.0 / prior_std[mine] ** 2 if mine.any() else np.zeros(0)
+        back = np.linalg.pinv(hessian[np.ix_(mine, mine)] + np.diag(precision)) if mine.any() else np.zeros((0, 0))
+        follow = -back @ hessian[mine]  # how own parameters answer to the shared ones
+        inverse = inverse_of_gram(hessian + np.diag(known), 1e-10)  # a column of another group is nothing here
+        parts.append((inverse @ score, np.diag(inverse), mine, follow, np.diag(hessian) > 0.0))
+    for k in np.flatnonzero(~own):
+        power = np.array([1.0 / v[k] if seen[k] and v[k] > 0.0 else 0.0 for _, v, _, _, seen in parts])
+        informative = power > power.max() * LEAST_POWER if power.max() > 0.0 else np.zeros(power.size, dtype=bool)
+        if informative.sum() < FEWEST_GROUPS:
+            continue
+        value = np.array([one[k] for one, *_ in parts])[informative]
+        w = power[informative]
+        mean = float(np.sum(w * value) / w.sum())
+        chance = float(np.sum(w * (value - mean) ** 2)) - (w.size - 1)
+        variance = max(chance, 0.0) / float(w.sum() - np.sum(w**2) / w.sum())
+        if variance == 0.0:
+            continue
+        spread[k] = np.sqrt(variance)
+        extra[k, k] += variance / w.size
+        for _, _, mine, follow, _ in parts:
+            answer = follow[:, k]
+            extra[np.ix_(mine, mine)] += variance * np.outer(answer, answer)
+    return spread, extra

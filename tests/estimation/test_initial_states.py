@@ -1,0 +1,92 @@
+"""Initial states of equations of motion: the same as least squares in the covariance that they make."""
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from flighttest.estimation.equation_error import (
+    Autoregression,
+    InitialStates,
+    Stream,
+    beside_initial_states,
+    misfit_of,
+    whiten,
+)
+
+NOISE = {"a": Autoregression(np.array([1.0, -0.6, 0.2]), 0.3), "b": Autoregression(np.array([1.0, 0.5]), 0.7)}
+SIZES = (30, 25, 40)  # rows that began from each of three initial states; the last is of another stretch
+
+
+def whitening(noise, n):
+    """(n, n) matrix of the filter."""
+    return noise.whitened(np.eye(n))
+
+
+@pytest.fixture
+def streams():
+    rng = np.random.default_rng(3)
+    numbers = np.repeat([0, 1, 2], SIZES)
+    made = []
+    for rows in (slice(0, 55), slice(55, None)):
+        for channel in NOISE:
+            number = numbers[rows]
+            n = number.size
+            begun = InitialStates(rng.standard_normal((n, 2)), number)
+            made.append(Stream(channel, 0, rng.standard_normal(n), rng.standard_normal((n, 3)), begun=begun))
+    return made
+
+
+def dense(streams):
+    """Residual, columns, whitened derivatives by every initial state, all stacked."""
+    white = [whitening(NOISE[s.channel], s.residual.size) for s in streams]
+    placed = []
+    for s in streams:
+        own = np.zeros((s.residual.size, 6))
+        for i, number in enumerate(s.begun.number):
+            own[i, 2 * number : 2 * number + 2] = s.begun.derivatives[i]
+        placed.append(own)
+    w = block_diag(*white)
+    r, c = np.concatenate([s.residual for s in streams]), np.concatenate([s.columns for s in streams])
+    return w @ r, w @ c, w @ np.concatenate(placed)
+
+
+def test_normal_equations_are_those_of_least_squares_with_the_covariance_of_the_states(streams):
+    r, c, n = dense(streams)
+    inverse = np.linalg.inv(np.eye(r.size) + n @ n.T)
+    hessian, score = whiten(streams, NOISE, 10).information()
+    assert hessian == pytest.approx(c.T @ inverse @ c, rel=1e-9)
+    assert score == pytest.approx(c.T @ inverse @ r, rel=1e-9, abs=1e-9)
+
+
+def test_misfit_and_determinant_are_those_of_the_marginal_likelihood(streams):
+    r, _, n = dense(streams)
+    covariance = np.eye(r.size) + n @ n.T
+    square, log_determinant = misfit_of(streams, NOISE)
+    assert square == pytest.approx(r @ np.linalg.solve(covariance, r), rel=1e-9)
+    assert log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-9)
+
+
+def test_rows_of_predictions_are_of_the_block_that_the_states_begin_in(streams):
+    rows = whiten(streams, NOISE, 10)
+    predictions = rows.channel == ""
+    assert predictions.sum() == 6
+    assert rows.block[predictions].tolist() == [0, 0, 3, 3, 5, 5]
+
+
+def test_residuals_beside_predicted_states_lack_what_these_explain(streams):
+    r, _, n = dense(streams)
+    states = np.linalg.solve(n.T @ n + np.eye(6), n.T @ r)
+    left = beside_initial_states(streams, NOISE)
+    for before, after in zip(streams, left, strict=True):
+        own = states.reshape(3, 2)[before.begun.number]
+        explained = np.einsum("nk,nk->n", before.begun.derivatives, own)
+        assert after.residual == pytest.approx(before.residual - explained, abs=1e-9)
+        assert not after.begun
+
+
+def test_equations_without_initial_states_are_left_as_they_are(streams):
+    plain = [Stream(s.channel, s.group, s.residual, s.columns) for s in streams]
+    square, log_determinant = misfit_of(plain, NOISE)
+    assert log_determinant == 0.0
+    assert square == pytest.approx(sum(np.sum(NOISE[s.channel].whitened(s.residual) ** 2) for s in plain))
+    assert (whiten(plain, NOISE, 10).channel != "").all()
