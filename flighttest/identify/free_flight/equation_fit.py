@@ -28,17 +28,13 @@ LOOPS = ("roll_pitch", "yaw")
 
 def parts_by_prediction_errors(segments: Sequence[Segment]) -> tuple[str, ...]:
     """Parts of the model (`estimation.estimator.BLOCKS`) that usable segments show by prediction errors, the translation first; the others
-    by output error.
-
-    Attitude loops where a pilot or another controller steered all of them, who answers what gusts do, and so moves the references that
-    output error takes for causes. The translation, too, where no step was flown by hand: of nine effects added to logs with a tenth of
-    such steps its equations named none, of eight output error named seven. No part with less than `LEAST_S` of stretches.
-    """
+    by output error: all of what a pilot or another controller steered, who answers what gusts do, and so moves the commands that output
+    error takes for causes. No part with less than `LEAST_S` of stretches."""
     usable = [s for s in segments if s.usable]
     if not all(s.steered for s in usable):
         return ()
-    free, loops = all(s.kind == "free" for s in usable), LOOPS if has_attitude_references(usable) else ()
-    return tuple(p for p in (*(("translation",) if free else ()), *loops) if _lasts_s(usable, p) >= LEAST_S)
+    loops = LOOPS if has_attitude_references(usable) else ()
+    return tuple(p for p in ("translation", *loops) if _lasts_s(usable, p) >= LEAST_S)
 
 
 def _lasts_s(segments: Sequence[Segment], part: str) -> float:
