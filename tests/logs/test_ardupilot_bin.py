@@ -169,6 +169,30 @@ def test_old_logs_are_read(shared_data):
     assert 15.0 < np.nanmedian(late.channel("voltage_v")[1]) < 17.0
 
 
+@pytest.mark.parametrize(
+    ("codes", "labels", "values", "expected"),
+    [
+        ("Ihhh", "TimeMS,ThrIn,AngBst,ThrOut", (480, 20, 720), 0.70),  # 3.2
+        ("Ihhh", "TimeMS,ThrIn,AngBst,ThrOut", (480, -3000, 900), 1.0),  # its height controller asked for 3900
+        ("Qhhf", "TimeUS,ThrIn,AngBst,ThrOut", (480, 20, 720.0), 0.70),  # 3.3
+        ("Qfff", "TimeUS,ThrIn,AngBst,ThrOut", (0.70, 0.02, 0.72), 0.70),
+        ("Qffff", "TimeUS,ThI,ABst,ThO,ThH", (0.70, 0.02, 0.72, 0.71), 0.70),  # 3.4 and later
+    ],
+)
+def test_the_throttle_asked_for_is_no_pilots_stick(dataflash, tmp_path, codes, labels, values, expected):
+    """In a mode that holds the height the stick rests at its middle: thrust per throttle was fitted to it."""
+    log = with_attitude(dataflash())
+    log.format("CTUN", codes, labels)
+    ticks_per_s = 1000 if codes[0] == "I" else 1_000_000
+    for k in range(100):
+        log.write("ATT", 10_000_000 + 20_000 * k, 0, 0, 0, 0, 0, 0)
+        log.write("CTUN", round((10 + 0.02 * k) * ticks_per_s), *values)
+    r = import_log(log.save(tmp_path / "a.bin"))
+    assert r.channel("throttle")[1] == pytest.approx(expected, abs=1e-6)
+    assert r.channel("throttle_out")[1] == pytest.approx(0.9 if values[1] == -3000 else 0.72, abs=1e-6)
+    assert ("AngBst" in r.provenance.derived["throttle"]) == ("h" in codes)
+
+
 def test_values_no_vehicle_can_have_are_dropped_and_reported(flight, tmp_path):
     w = flight()
     data = bytearray(w.data)

@@ -78,7 +78,7 @@ class Targets:
 
     def reference(self, state: Series | None) -> Series | None:
         """What was asked from outside: GUIA, else the autopilot's own targets. state: modes, where a change ends a target."""
-        throttle = self._ctun("throttle", "ThI", "ThrIn")
+        throttle = self._asked_of_the_motors()
         guia = self.tables.get("GUIA")
         if guia is not None:
             table, t_s = guia
@@ -96,28 +96,42 @@ class Targets:
             parts = [_ended_by_mode(one, state)]
             if not direct and throttle is not None:
                 self.derived["throttle"] = f"CTUN: {CLIMB_RATES}"
-                parts.append(throttle)
+                parts.append(throttle[0])
             return held_union(parts, 0.0) if len(parts) > 1 else Series(*parts[0])
         parts = [*self._own("ref"), *self._turning()]
         for _, columns in parts:
             for name in columns:
                 self.derived[name] = "the autopilot's own target is taken for the reference: the log has no GUIA"
         if throttle is not None:
-            self.derived["throttle"] = "CTUN: the throttle the mode asked for, before tilt boost; the log has no GUIA"
-            parts.append(throttle)
+            self.derived["throttle"] = f"{throttle[1]}; the log has no GUIA"
+            parts.append(throttle[0])
         return held_union(parts) if parts else None
 
-    def _ctun(self, channel: str, name: str, old: str) -> TargetPart | None:
+    def _asked_of_the_motors(self) -> tuple[TargetPart, str] | None:
+        """The throttle that the mode asked for before boost for tilt, and where it comes from.
+
+        Until Copter 3.3 ThrIn is the pilot's stick, which says nothing of the thrust in a mode that holds the height; what the mode
+        asked for is what went to the motors less the boost.
+        """
+        if (asked := self._ctun("throttle", "ThI", "ThrIn")) is not None:
+            return asked, "CTUN: the throttle the mode asked for, before tilt boost"
+        out, boost = self._ctun("throttle", "ThrOut"), self._ctun("throttle", "AngBst")
+        if out is None or boost is None:
+            return None
+        asked = out[0], {"throttle": np.clip(out[1]["throttle"] - boost[1]["throttle"], 0.0, 1.0)}
+        return asked, "CTUN: ThrOut less the boost for tilt (AngBst), as ThrIn is the pilot's stick in this log"
+
+    def _ctun(self, channel: str, *names: str) -> TargetPart | None:
+        """The first of the fields that the log has, 0..1, of those that the autopilot's own throttle is in."""
         if "CTUN" not in self.tables:
             return None
         table, t_s = self.tables["CTUN"]
-        if name in table:
-            values = table.get(name)
-        elif old in table:
-            values = table.get(old) * 1e-3  # 0..1000 before Copter 3.3
-        else:
+        # Until Copter 3.3 all throttles are 0..1000 and ThrIn an integer, the pilot's; from then on a float, the autopilot's own, 0..1.
+        stick = "ThrIn" in table and table.raw["ThrIn"].dtype.kind == "i"
+        name = next((n for n in names if n in table and not (stick and n == "ThrIn")), None)
+        if name is None:
             return None
-        one = ordered(t_s, {channel: values}, "CTUN", [])
+        one = ordered(t_s, {channel: table.get(name) * (1e-3 if stick else 1.0)}, "CTUN", [])
         return one.t_s, dict(one.columns)
 
     def output(self) -> Series | None:
