@@ -53,11 +53,13 @@ def control_lost(recording: Recording) -> tuple[tuple[float, float], ...]:
 
 
 def _whole(recording: Recording) -> tuple[float, float]:
-    """From the first take-off to the last landing, s."""
+    """From the first take-off to the landing that no other take-off follows, s."""
     start, end = recording.t_span_s
     start, end = _armed(recording, start, end)
     up = [m.t_s for m in recording.markers if m.label == "take-off" and m.t_s >= start]
     down = [m.t_s for m in recording.markers if m.label == "landed" and m.t_s > (up[0] if up else start)]
+    if up and down and up[-1] > down[-1]:
+        down = []  # the last flight has no landing: it ended in a crash, or the recording ended first
     if up:
         start = up[0] + _ASIDE_S
     if down:

@@ -56,6 +56,14 @@ def test_what_lies_upside_down_has_crashed_until_it_takes_off_again(lasts_s, up,
     assert spans(recorded(0.5, G_M_S2, roll, marks)) == found
 
 
+def test_a_flight_without_a_landing_of_its_own_is_a_flight():
+    """Of three flights, two of which ended in crashes, the first alone was used: the last landing was taken for the end."""
+    marks = [Marker(0.0, "note", "take-off"), Marker(20.0, "note", "landed"), Marker(30.0, "note", "take-off")]
+    grounded = recorded(lambda t: np.where((t >= 20.0) & (t < 30.0), 0.0, 0.5), G_M_S2, markers=marks)
+    assert spans(grounded) == [(1, 19), (31, 60)]
+    assert spans(recorded(0.5, G_M_S2, markers=marks[:2])) == [(1, 20)]
+
+
 @pytest.mark.parametrize(
     ("drift", "slides_m_s"),
     [
