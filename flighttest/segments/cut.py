@@ -269,8 +269,7 @@ class _Cutter:
 
     def segment(self, response: FoundStep, mark: Marked | None) -> Segment:
         t_s, y = sample(self.aligned, response.start_s, response.end_s)
-        flaws = flaws_of(self.recording, self.references, response, t_s, y, self.streamed)
-        notes: tuple[str, ...] = ()
+        flaws, notes = flaws_of(self.recording, self.references, response, t_s, y, self.streamed)
         if any(a < response.end_s and response.start_s < b for a, b in self.lost):
             flaws = (*flaws, Flaw.CONTROL_LOST)
         if mark is not None and response.kind != "free" and not response.cell and Flaw.REFERENCE_MOVED not in flaws:
@@ -280,7 +279,11 @@ class _Cutter:
             recorded_s = response.end_s - response.t_step_s
             if mark.outcome == "REFUSED" and response.kind != "free" and recorded_s >= _ENOUGH_S:
                 # Until the gate refused a target, the vehicle did what it was asked.
-                notes = (f"the gate ended it {recorded_s:.2f} s after the step; what was recorded until then is used",)
+                notes = (
+                    notes
+                    if flaws
+                    else (f"the gate ended it {recorded_s:.2f} s after the step; what was recorded until then is used",)
+                )
             elif ended not in flaws:
                 flaws = (*flaws, ended)
         yaw = y["yaw_rad"] if "yaw_rad" in y else np.full(t_s.size, np.nan)

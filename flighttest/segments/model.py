@@ -31,7 +31,7 @@ class Flaw(Enum):
     TOO_FEW = "fewer than eight samples were recorded during the response"
     CONTROL_LOST = "control was lost: the attitude left what was asked for"
     ABORTED = "the flight was aborted during the response"
-    NOT_A_NUMBER = "a recorded channel is not a number for most of the response"
+    NOT_A_NUMBER = "a channel has fewer than four values during the response"
     REFERENCE_MOVED = "another reference moved during the response"
 
 

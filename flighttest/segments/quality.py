@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 
 SHORTEST_S = 0.3  # after the step: six time constants of the paper's thrust lag
 LEAST_SAMPLES = 8  # of a response: `SHORTEST_S` at 25 Hz
+_LEAST_VALUES = 4  # of the channel that the response is judged by: fewer have no usual time between them
 _BEFORE_S = 0.15
 _RATE_MAX_RAD_S = 0.35  # mean before a tilt step; a vehicle that hovers stays below 0.1
 _ERROR_MAX_RAD = 0.12
@@ -40,14 +41,18 @@ def flaws_of(
     t_s: FloatArray,
     y: Mapping[str, FloatArray],
     streamed: bool,
-) -> tuple[Flaw, ...]:
-    """The reasons against fitting this response, in the order of `Flaw`. streamed: targets were repeated by a ground station."""
+) -> tuple[tuple[Flaw, ...], tuple[str, ...]]:
+    """The reasons against fitting this response, in the order of `Flaw`, and notes on them: the channels whose values are missing.
+
+    streamed: targets were repeated by a ground station.
+    """
     found: set[Flaw] = set()
     if response.end_s - response.t_step_s < SHORTEST_S:
         found.add(Flaw.TOO_SHORT)
     if t_s.size < LEAST_SAMPLES:
         found.add(Flaw.TOO_FEW)
-    found |= _holes(response, t_s, y)
+    holes = _holes(response, t_s, y)
+    found |= set(holes.values())
     found |= _events(recording, response)
     if response.kind in ("roll_step", "pitch_step", "yaw_rate_step") and _unrest(references, response, t_s, y):
         found.add(Flaw.NOT_SETTLED)
@@ -66,23 +71,24 @@ def flaws_of(
                 found.add(Flaw.LINK_LOST)
             elif longest_s > references.period_s + _LATE_S:
                 found.add(Flaw.LATE)
-    return tuple(flaw for flaw in Flaw if flaw in found)
+    return tuple(flaw for flaw in Flaw if flaw in found), (f"missing: {', '.join(holes)}",) if holes else ()
 
 
-def _holes(response: FoundStep, t_s: FloatArray, y: Mapping[str, FloatArray]) -> set[Flaw]:
-    found: set[Flaw] = set()
+def _holes(response: FoundStep, t_s: FloatArray, y: Mapping[str, FloatArray]) -> dict[str, Flaw]:
+    """By channel what is missing of it, by the channel's own rate: one of 10 Hz has a value in every fifth row of one of 50 Hz."""
+    found: dict[str, Flaw] = {}
     names = [n for n in _PRIMARY.get(response.kind, ()) if n in y]
     if not names:
         names = [n for n in ("roll_rad", "a_z_m_s2", "f_z_m_s2", "v_x_m_s") if n in y][:1]
     for name in names:
         good = np.isfinite(y[name])
-        if np.count_nonzero(good) < 0.2 * t_s.size or np.count_nonzero(good) < 4:
-            found.add(Flaw.NOT_A_NUMBER)
+        if np.count_nonzero(good) < _LEAST_VALUES:
+            found[name] = Flaw.NOT_A_NUMBER
             continue
         times = np.concatenate([[response.start_s], t_s[good], [response.end_s]])
         usual = float(np.median(np.diff(t_s[good])))
         if np.max(np.diff(times)) > max(3.5 * usual, _GAP_S):
-            found.add(Flaw.GAP)
+            found[name] = Flaw.GAP
     return found
 
 

@@ -29,7 +29,9 @@ def test_a_sound_response_has_no_flaws(campaign):
 
 def test_missing_samples(campaign):
     edge = campaign.edges_s()[0]
-    assert first(without(campaign.recording(), "attitude", edge + 0.2, edge + 0.5)).flaws == (Flaw.GAP,)
+    segment = first(without(campaign.recording(), "attitude", edge + 0.2, edge + 0.5))
+    assert segment.flaws == (Flaw.GAP,)
+    assert segment.notes == ("missing: roll_rad",)
 
 
 def test_silence_of_the_targets(campaign):
@@ -77,6 +79,20 @@ def test_a_sensor_at_its_limit(campaign):
 def test_a_channel_of_nothing(campaign):
     blank = changed(campaign.recording(), "attitude", "roll_rad", lambda t, x: np.where(t > 100.5, np.nan, x))
     assert Flaw.NOT_A_NUMBER in first(blank).flaws
+
+
+@pytest.mark.parametrize(("hz", "few"), [(1.5, True), (2.5, False), (9.0, False)])
+def test_an_attitude_logged_more_slowly_than_the_rest_is_no_hole(fly, hz, few):
+    """At 10 Hz beside 50 Hz one sample more or less decided whether a response was used."""
+    hover, step = (1.0, 0.0, 0.0, 0.0, 0.25), (1.0, 0.2, 0.0, 0.0, 0.25)
+    flight = fly([hover, step, hover, step, hover, step, hover])
+    flight.rates = {**flight.rates, "attitude": hz}
+    steps = [s for s in cut(flight.recording()) if s.kind == "roll_step"]
+    assert steps
+    for s in steps:
+        assert (Flaw.NOT_A_NUMBER in s.flaws) is few
+        assert Flaw.GAP not in s.flaws
+        assert s.notes == (("missing: roll_rad",) if few else ())
 
 
 @pytest.mark.parametrize(("seconds", "short"), [(0.25, True), (0.5, False)])

@@ -211,7 +211,7 @@ def segments(views: Sequence[SegmentView]) -> Section:
     blocks: list[PageBlock] = []
     reasons: dict[str, int] = {}
     for s in rejected:
-        why = "; ".join(s.flaws)
+        why = _why(s)
         reasons[why] = reasons.get(why, 0) + 1
     if reasons:
         blocks.append(
@@ -241,10 +241,14 @@ def _metric(value: float | None) -> str:
     return "-" if value is None or not math.isfinite(value) else number(value, 3)
 
 
+def _why(s: SegmentView) -> str:
+    return "; ".join((*s.flaws, *s.notes))
+
+
 def _state(s: SegmentView) -> tuple[Cell, str]:
     """In a word, and why."""
     if s.flaws:
-        return Cell("rejected", "bad"), "; ".join(s.flaws)
+        return Cell("rejected", "bad"), _why(s)
     if s.outlier:
         return Cell("outlying", "warn"), s.outlier
     return Cell("used", "good"), "; ".join(s.notes)
