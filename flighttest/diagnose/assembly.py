@@ -31,6 +31,7 @@ from flighttest.diagnose.records import CandidateRow, Description, NextReason
 from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels
 from flighttest.diagnose.selection.search import Search
 from flighttest.estimation.solver import Start
+from flighttest.identify.diagnostics.identifiability import flown_voltage
 from flighttest.identify.fit import Fit
 from flighttest.identify.free_flight.equation_fit import fit_of_estimates
 from flighttest.identify.free_flight.winds import FlightWind, in_still_air, still_air, wind_rows
@@ -110,7 +111,11 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
         candidates=_candidate_rows(answers, hidden),
         cost={"added_parameters": len(after) - len(before), "held_out_groups": asked.group_name},
         unknown=tuple(formulas),
-        mass=mass_test(asked.previous, {n: (row["value"], row["scatter"]) for n, row in after.items()}),
+        mass=mass_test(
+            asked.previous,
+            {n: (row["value"], row["scatter"]) for n, row in after.items()},
+            _as_flown(asked, final_fit),
+        ),
         next_flight="next.yaml" if proposal else None,
         next_script=proposal[1] if proposal else None,
         next_reason=proposal[0] if proposal else {},
@@ -126,6 +131,15 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
         runs=tuple(dict.fromkeys(s.run for s in asked.segments)),
         winds=tuple(wind_rows(winds, still_air(asked.weather)[0])),
     )
+
+
+def _as_flown(asked: Asked, found: Fit) -> float:
+    """What the ratio of two K, both at the nominal voltage, is multiplied by to be that of thrust as it was flown: an alpha that is not
+    known carries them elsewhere."""
+    before, after = asked.previous.get("alpha"), found.values.get("alpha")
+    if before is None or after is None:
+        return 1.0
+    return float((flown_voltage(asked.segments, found.model) / found.model.nominal_voltage_v) ** (after - before[0]))
 
 
 def _pushes(found: Fit) -> dict[str, NDArray[np.float64]]:
@@ -188,6 +202,8 @@ def _final_fit(
             start |= {n: values[n] for n in search.now.names}
             noise |= search.now.at.noise
             nuisance |= search.now.at.nuisance
+        # What the base does not determine is held where the fit begins and called assumed; a search moves it along flat directions.
+        start |= {n: e.value for n, e in asked.base.estimates.items() if e.source == "assumed" and n in start}
         begun = Start(start, noise, nuisance)
     segments = in_still_air(asked.recorded, winds) if estimates else asked.recorded
     return fit_of_estimates(segments, final, estimates, start=begun, frozen=null)

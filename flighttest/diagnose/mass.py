@@ -13,15 +13,20 @@ from flighttest.identify.mass import FORCES, SIGNIFICANT, change, thrust_or_mass
 
 
 def mass_test(
-    previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, tuple[float, float]]
+    previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, tuple[float, float]], as_flown: float = 1.0
 ) -> MassChange:
-    """Against the previous parameters: ratio of K, one common ratio of all forces and whether it fits; {} where nothing can be compared."""
+    """Against the previous parameters: ratio of thrust, one common ratio of all forces and whether it fits; {} where nothing is comparable.
+
+    as_flown: what turns the ratio of K, which is at the nominal voltage, into that of thrust at the voltage flown.
+    """
     changes: dict[str, tuple[float, float]] = {}
     for name in FORCES:
         if name not in previous or name not in after:
             continue
         old, old_std = previous[name]
         new, new_std = after[name]
+        if name == "K":
+            new, new_std = new * as_flown, new_std * as_flown
         if old > 0 and new > 0 and (math.isfinite(old_std or 0.0)):
             changes[name] = change(old, old_std or 0.0, new, new_std)
     if "K" not in changes:

@@ -14,6 +14,7 @@ from flighttest.diagnose.selection import comparison
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.diagnose.selection.search import Search
 from flighttest.errors import FitError
+from flighttest.identify.diagnostics.identifiability import flown_voltage
 from flighttest.physics.catalogue import catalogue
 from flighttest.pipeline.parallel import in_parallel
 
@@ -45,6 +46,25 @@ def test_steady_wind_is_named_and_measured(windy):
     wind = windy.findings[0].parameters
     assert wind["w_north"]["value"] == pytest.approx(2.5, abs=0.15)
     assert wind["w_west"]["value"] == pytest.approx(-1.0, abs=0.15)
+
+
+def test_what_is_called_assumed_has_the_value_that_was_assumed():
+    """A search moves alpha, which hardly varying voltage leaves open; the last fit held it there: at -2.0 in one log, with K halved."""
+    steps = campaign(2, throttles=False, yaws=False)
+    for k, step in enumerate(steps):
+        step.voltage = 23.0 + 0.12 * (-1) ** k
+    found = diagnose(fly(steps, seed=7, noise=12.0, wind=(2.5, -1.0, 0.0)), only=("steady_wind",))
+    assert found.accepted == ("steady_wind",)
+    alpha = found.fit.estimates["alpha"]
+    assert (alpha.source, alpha.value) == ("assumed", found.model.param["alpha"].nominal)
+
+
+def test_thrust_of_a_model_with_another_alpha_is_compared_at_the_voltage_flown():
+    found = diagnose(tilts(), only=("rate_limit",), previous={"K": (54.55, 0.05), "alpha": (0.0, None)})
+    flown = flown_voltage(found.fit.problem.segments, found.model) / 22.2
+    assert flown > 1.01
+    expected = found.values["K"] / 54.55 * flown ** found.values["alpha"]
+    assert found.mass["thrust_ratio"] == pytest.approx(expected, rel=1e-3)
 
 
 def test_flights_that_move_one_axis_are_searched_for_that_one():

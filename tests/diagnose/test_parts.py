@@ -205,6 +205,14 @@ def test_thrust_or_mass(ratio, drag_ratio, drag_std, answer):
     )
 
 
+def test_thrust_is_compared_at_the_voltage_flown():
+    """An alpha of -2 for 1.7 halves K at a nominal voltage a fifth above the one flown, and moves no thrust."""
+    before = {"K": (50.0, 0.05)}
+    carried = (6.0 / 7.4) ** (-2.0 - 1.7)
+    assert mass_test(before, {"K": (50.0 / carried, 0.05)}, carried)["thrust_ratio"] == pytest.approx(1.0)
+    assert mass_test(before, {"K": (50.0 / carried, 0.05)})["thrust_ratio"] == pytest.approx(1.0 / carried)
+
+
 def test_orthonormal_drops_what_repeats(rng):
     x = rng.normal(size=(50, 2))
     assert orthonormal(np.column_stack([x, x[:, 0] + x[:, 1], np.zeros(50)])).shape == (50, 2)

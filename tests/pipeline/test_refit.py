@@ -1,6 +1,7 @@
 """The model that a diagnosis leaves behind."""
 
 import math
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import pytest
@@ -42,7 +43,7 @@ def test_what_the_model_in_use_only_assumed_has_not_changed(monkeypatch):
     monkeypatch.setattr(diagnosis, "held_against_zone", lambda found, *_: found)
     known = SimpleNamespace(value=45.0, scatter=0.2, identifiable=True)
     assumed = SimpleNamespace(value=0.39, scatter=None, identifiable=False)
-    stored = SimpleNamespace(parameters={"K": known, "zeta_theta": assumed}, model=Model())
+    stored = SimpleNamespace(parameters={"K": known, "zeta_theta": assumed}, model=Model(), runs=())
     diagnosis.run_diagnosis([], [], stored, None)
     previous = asked["previous"]
     assert previous["K"] == (45.0, 0.2)
@@ -51,3 +52,18 @@ def test_what_the_model_in_use_only_assumed_has_not_changed(monkeypatch):
     assert "K +11 %" in said
     assert "zeta_theta" not in said
     assert mass_test({"K": (45.0, math.inf)}, {"K": (50.0, 0.2)}) == {}
+
+
+@pytest.mark.parametrize(("runs", "said"), [(("one",), False), (("one", "two"), True), ((), True)])
+def test_nothing_is_said_of_the_mass_against_a_model_of_the_same_recordings(monkeypatch, runs, said):
+    """ "Thrust per mass changed by -52.8 %" was said of a recording and its own fit."""
+    monkeypatch.setattr(diagnosis, "search", lambda *_, **__: _Found({"thrust_ratio": 0.5}))
+    monkeypatch.setattr(diagnosis, "held_against_zone", lambda found, *_: found)
+    stored = SimpleNamespace(parameters={}, model=Model(), runs=runs)
+    found = diagnosis.run_diagnosis([SimpleNamespace(run="one")], [], stored, None)
+    assert bool(found.mass) is said
+
+
+@dataclass(frozen=True)
+class _Found:
+    mass: dict[str, float]

@@ -3,7 +3,7 @@ determined."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -12,8 +12,14 @@ from flighttest.identify.fit import Fit
 from flighttest.identify.models.model_blocks import ModelData
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.body import DELAY_PARAM
+from flighttest.segments.model import Segment
 
 MEAN_DELAY = "T_d"
+
+
+def fitted_to(base: ModelFile, segments: Iterable[Segment]) -> bool:
+    """Whether a model was fitted to recordings of these segments alone, so that it holds nothing more than they do."""
+    return bool(base.runs) and {*map(str, base.runs)} <= {s.run for s in segments}
 
 
 def known_before(found: Fit, base: ModelFile | None) -> dict[str, float]:
@@ -23,7 +29,7 @@ def known_before(found: Fit, base: ModelFile | None) -> dict[str, float]:
     has (`Term.hides_in`): there its value was another one. A d_z of 0.65 1/s, held beside an axial inflow and a quadratic drag, took both
     away again (0.02 1/s with them), and velocities after 1 s erred by 0.28 m/s for 0.04.
     """
-    if base is None or (base.runs and {*map(str, base.runs)} <= {s.run for s in found.problem.segments}):
+    if base is None or fitted_to(base, found.problem.segments):
         return {}
     absorb = {n for t in found.model.built_terms if t.id not in base.model.terms for n in t.hides_in}
     return {

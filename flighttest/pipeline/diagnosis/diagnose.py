@@ -18,7 +18,7 @@ from flighttest.errors import InputError
 from flighttest.identify.fit import Fit
 from flighttest.identify.free_flight.equation_fit import fit_of_estimates
 from flighttest.identify.models import model_file
-from flighttest.identify.models.informative_prior import carry_over, known_before
+from flighttest.identify.models.informative_prior import carry_over, fitted_to, known_before
 from flighttest.identify.models.model_blocks import DiagnosedBlock
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
@@ -72,6 +72,8 @@ def run_diagnosis(
         weather=weather_of({}, recordings, vehicle) if weather is None else weather,
         support=Support(progress.stage, in_parallel, flyable_in(recordings, vehicle)),
     )
+    if stored is not None and fitted_to(stored, segments):
+        found = replace(found, mass={})  # the vehicle's mass was one and the same
     return held_against_zone(found, recordings, vehicle)
 
 
