@@ -45,3 +45,17 @@ def test_import_and_segment_account_for_every_second(flight_csv, tmp_path):
         assert rows[0]["used"]
         (section,) = (s for s in result.document.sections if s.id == "time")
         assert "are used" in section.lead + "".join(getattr(block, "brief", "") for block in section.blocks)
+
+
+@pytest.mark.parametrize(("lands_s", "words"), [(20.0, "20 s of it in the air"), (0.2, "none of it in the air")])
+def test_import_says_how_much_of_a_recording_was_flown(tmp_path, lands_s, words):
+    """Recordings on a bench were announced as "1 min 09 s of flight"."""
+    t_s = np.arange(0.0, 60.0, 0.02)
+    throttle = np.where(t_s < lands_s, 0.5, 0.0)
+    zero = np.zeros(t_s.size)
+    log = tmp_path / "log.csv"
+    columns = np.column_stack([t_s, throttle, zero, zero, np.full(t_s.size, 9.8)])
+    np.savetxt(log, columns, delimiter=",", header="t_s,throttle,roll_rad,pitch_rad,f_z_m_s2", comments="")
+    verdict = import_log(log, tmp_path / "run").document.verdict
+    assert "A recording of 1 min 00 s" in verdict
+    assert words in verdict

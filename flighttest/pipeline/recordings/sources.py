@@ -15,7 +15,7 @@ from flighttest.errors import InputError, LinkError, RecordingError
 from flighttest.logs import import_log as read_log
 from flighttest.logs.opening import KINDS
 from flighttest.logs.tables.columns import load_columns
-from flighttest.pipeline.recordings.time_budget import time_data, time_section
+from flighttest.pipeline.recordings.time_budget import in_the_air_s, time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.recording import Recording
 from flighttest.recording.manifest import Manifest, VehicleData
@@ -215,6 +215,7 @@ def describe_recording(recording: Recording, folder: Path) -> Result:
     table = Table(("group", "channels", "rate", "samples", ""), tuple(rows), ("left", "left", "right", "right", "left"))
     segments = cut(recording)
     sections = [Section("channels", "Channels", (table,)), time_section([recording], segments)]
+    time = time_data([recording], segments)
     if source.losses:
         sections.append(Section("losses", "What was lost, or looks wrong", (Bullets(source.losses),)))
     if source.derived:
@@ -227,16 +228,18 @@ def describe_recording(recording: Recording, folder: Path) -> Result:
         "importer": source.importer,
         "go on": f"flighttest show {shlex.quote(str(folder))}",
     }
-    verdict = f"{duration(last - first)} of flight imported into {folder}."
+    flown_s = round(in_the_air_s(time))
+    flown = f"{duration(flown_s)} of it in the air" if flown_s else "none of it in the air"
+    verdict = f"A recording of {duration(last - first)} imported into {folder}, {flown}."
     data = {
         "run": str(folder),
         "duration_s": last - first,
-        "time": time_data([recording], segments),
+        "time": time,
         "channels": channels,
         "losses": list(source.losses),
         "derived": dict(source.derived),
         "firmware": source.firmware,
         "importer": source.importer,
     }
-    tone = "warn" if source.losses else "good"
+    tone = "warn" if source.losses or not flown_s else "good"
     return Result(Document("import", verdict, tone, tuple(sections), facts), data, Status.DONE, recording)  # type: ignore[arg-type]

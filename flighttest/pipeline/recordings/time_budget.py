@@ -8,7 +8,7 @@ from typing import Any, TypedDict
 from flighttest.recording import Recording
 from flighttest.report.document import Cell, Section, Table
 from flighttest.report.numbers import number
-from flighttest.segments import Segment, budget
+from flighttest.segments import Segment, Use, budget
 
 
 class TimeShare(TypedDict):
@@ -41,6 +41,11 @@ def time_data(recordings: Sequence[Recording], segments: Sequence[Segment]) -> l
         }
         for (use, why), lengths in ordered
     ]
+
+
+def in_the_air_s(data: Sequence[TimeShare]) -> float:
+    """Time in the air of which anything was recorded, s."""
+    return sum(row["seconds"] for row in data if row["use"] not in (Use.GROUND.name.lower(), Use.PAUSE.name.lower()))
 
 
 def time_section(recordings: Sequence[Recording], segments: Sequence[Segment], *, brief: bool = False) -> Section:
