@@ -25,6 +25,16 @@ LEAST_CHANGE = 0.02  # of a reference that moves: rad, rad/s or throttle
 DRAG_STEP_MIN_RAD = 0.25  # the paper's Pi_4 uses 0.3 and 0.5 rad
 
 
+NOTHING_ASKED = "neither references nor a throttle were recorded: nothing says what the vehicle was asked for"
+LOG_REFERENCES = "log them (ArduPilot: RATE, CTUN; telemetry: ATTITUDE_TARGET), or name their columns in a column map"
+
+
+def nothing_asked(segments: Sequence[Segment]) -> bool:
+    """Whether there are usable segments, and none of them has a reference or a throttle: no model can be fitted to them."""
+    usable = [s for s in segments if s.usable]
+    return bool(usable) and not any(s.u for s in usable)
+
+
 def able(segments: Sequence[Segment], block: Block) -> list[int]:
     """Positions of the segments in which a block's references move."""
     return [i for i, s in enumerate(segments) if _can_feed(s, block)]
@@ -60,11 +70,8 @@ def problem_of(
     fed = {block.name: segments_for(usable, block, select) for block in model.blocks}
     problem = Problem.build(usable, model, fed=fed, values=values, fixed=fixed, ties=ties, dead=dead)
     if not problem.parts:
-        if usable and not any(s.u for s in usable):
-            raise FitError(
-                "neither references nor a throttle were recorded: nothing says what the vehicle was asked for",
-                "log them (ArduPilot: RATE, CTUN; telemetry: ATTITUDE_TARGET), or name their columns in a column map",
-            )
+        if nothing_asked(usable):
+            raise FitError(NOTHING_ASKED, LOG_REFERENCES)
         why = "".join(f"; {one}" for one in (never_changing(dead) if dead else "", refusal(usable)) if one)
         raise FitError(
             f"no usable segment excites any part of the model{why}",

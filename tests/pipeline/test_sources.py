@@ -59,3 +59,18 @@ def test_import_says_how_much_of_a_recording_was_flown(tmp_path, lands_s, words)
     verdict = import_log(log, tmp_path / "run").document.verdict
     assert "A recording of 1 min 00 s" in verdict
     assert words in verdict
+
+
+def test_import_and_segment_say_that_a_recording_without_commands_cannot_be_fitted(tmp_path):
+    """ "62.4 of 70.6 s are used" was said of one that `fit` refused."""
+    t_s = np.arange(0.0, 20.0, 0.02)
+    columns = np.column_stack([t_s, 0.1 * np.sin(t_s), 0.1 * np.cos(t_s), np.full(t_s.size, 9.8)])
+    log, run = tmp_path / "log.csv", tmp_path / "run"
+    np.savetxt(log, columns, delimiter=",", header="t_s,roll_rad,pitch_rad,f_z_m_s2", comments="")
+    with pytest.raises(FlighttestError, match="nothing says what the vehicle was asked for"):
+        fit([log])
+    for result in (import_log(log, run), segment([run])):
+        (section,) = (s for s in result.document.sections if s.id == "time")
+        said = section.lead + "".join(getattr(block, "brief", "") for block in section.blocks)
+        assert "nothing says what the vehicle was asked for" in said
+        assert "are used" not in said

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, TypedDict
 
+from flighttest.identify.selection import LOG_REFERENCES, NOTHING_ASKED, nothing_asked
 from flighttest.recording import Recording
 from flighttest.report.document import Cell, Section, Table
 from flighttest.report.numbers import number
@@ -64,6 +65,8 @@ def time_section(recordings: Sequence[Recording], segments: Sequence[Segment], *
     )
     heads = ("what became of it", "s", "share", "stretches")
     sentence = f"{number(used, 3)} of {number(total, 3)} s are used"
+    if nothing_asked(segments):
+        sentence = f"{number(used, 3)} of {number(total, 3)} s were cut, and `fit` refuses them: {NOTHING_ASKED}; {LOG_REFERENCES}"
     if brief:
         short = f"{sentence}; --all shows what became of the rest."
         return Section("time", "", (Table(heads, rows, ("left", "right", "right", "right"), brief=short),))
