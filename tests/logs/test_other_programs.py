@@ -173,6 +173,33 @@ def test_structures_with_times_of_their_own(tmp_path):
     assert len(found.series["battery"]) == slow.size
 
 
+@pytest.mark.parametrize("timed", [True, False])
+def test_structures_inside_structures_are_named_by_dots_at_any_depth(tmp_path, timed):
+    """Of a log with `log.time` and `log.position.x`, `log.time` alone was there."""
+    slow = T[::10]
+    log = {
+        "position": {"x": 2 * T},
+        "loops": {"outer": {"gain": 3 * T, "roll_rad": ROLL}},
+        "short": {"x": np.arange(5.0)},
+        "bat": {"time": slow, "v": 24.0 - slow} if timed else {},
+    }
+    content = {"log": {"time": T, **log}} if timed else {"log": log}
+    columns = tmp_path / "columns.yaml"
+    columns.write_text(
+        "format: columns/1\nframe: {world: NWU, body: FLU}\n"
+        + ("" if timed else f"rate_hz: {1.0 / (T[1] - T[0])}\n")
+        + "columns:\n  p_x_m: log.position.x\n  v_x_m_s: log.loops.outer.gain\n  roll_rad: roll_rad\n"
+        + ("  voltage_v: log.bat.v\n" if timed else "")
+    )
+    found = import_log(saved(tmp_path, content), columns)
+    for name, values in (("p_x_m", 2 * T), ("v_x_m_s", 3 * T), ("roll_rad", ROLL)):
+        t_s, got = found.channel(name)
+        assert np.allclose(got, values)
+        assert np.allclose(t_s - t_s[0], T - T[0])
+    if timed:
+        assert np.allclose(found.channel("voltage_v")[1], 24.0 - slow)
+
+
 def test_simulinks_structure_and_a_timeseries_through_a_column_map(tmp_path):
     content = {
         "out": {"time": T, "signals": {"values": np.stack([ROLL, 2 * ROLL], axis=1), "label": "angles"}},

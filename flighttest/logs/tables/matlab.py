@@ -68,12 +68,13 @@ def read_matlab(file: LogFile, data: bytes) -> Sheet:
         return Sheet(str(file.path), {TIME: t, **columns}, losses)
     if timed:
         return Sheet(str(file.path), joined(timed), losses)
-    loose = [columns for _, _, columns in tables if columns]
+    loose: dict[int, dict[str, FloatArray]] = {}
+    for _, _, columns in tables:
+        for name, vector in columns.items():
+            loose.setdefault(vector.size, {})[name] = vector
     if not loose:
         raise RecordingError(f"{file.path}: it holds no vectors of numbers", "name a file with logged signals")
-    widest = max(loose, key=len)
-    raw: dict[str, Any] = dict(widest)
-    return Sheet(str(file.path), raw, losses)
+    return Sheet(str(file.path), max(loose.values(), key=len), losses)
 
 
 def _bare(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -85,14 +86,17 @@ def _bare(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
     }
 
 
-def _tables(path: str, content: dict[str, Any]) -> Iterator[MatlabTable]:
-    """Every structure that holds vectors as (path, its time, its columns of the time's length); inner structures after it."""
+def _tables(path: str, content: dict[str, Any], outer: FloatArray | None = None) -> Iterator[MatlabTable]:
+    """Every structure that holds vectors as (path, its time, its columns of the time's length), with those of inner structures that have no
+    time of their own, at any depth; inner structures with one after it. outer: time (n,) of the structure around it."""
     if path and isinstance(signal := _timeseries(path, content), tuple):
         yield signal
         return
     vectors = {name: vector for name, value in content.items() if (vector := _numbers(value)) is not None}
     time = next((np.ravel(vectors[n]) for n in TIMES if n in vectors and np.ravel(vectors[n]).size > 1), None)
     lengths = [v.shape[0] for v in vectors.values()]
+    if time is None and outer is not None and (not vectors or outer.size in lengths):
+        time = outer
     length = time.size if time is not None else max(set(lengths), key=lengths.count, default=0)
     columns: dict[str, FloatArray] = {}
     for name, vector in vectors.items():
@@ -100,11 +104,17 @@ def _tables(path: str, content: dict[str, Any]) -> Iterator[MatlabTable]:
             continue
         named = f"{path}.{name}" if path else name
         columns |= {named: vector} if vector.ndim == 1 else _cells(named, vector)
-    if columns or time is not None:
-        yield path, time, columns
+    others: list[MatlabTable] = []
     for name, value in content.items():
         for inner, one in _structures(value):
-            yield from _tables(f"{path}.{name}{inner}" if path else f"{name}{inner}", one)
+            for table in _tables(f"{path}.{name}{inner}" if path else f"{name}{inner}", one, time):
+                if time is not None and table[1] is time:
+                    columns |= table[2]
+                else:
+                    others.append(table)
+    if columns or (time is not None and time is not outer):
+        yield path, time, columns
+    yield from others
 
 
 def _timeseries(path: str, content: dict[str, Any]) -> MatlabTable | None:
