@@ -63,7 +63,7 @@ PlainData: TypeAlias = "bool | int | float | str | Sequence[PlainData] | Mapping
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """The known word that looks most like `word`, if any does."""
-    found = difflib.get_close_matches(word, list(known), n=1, cutoff=0.55)
+    found = difflib.get_close_matches(word, list(known), n=1)
     return found[0] if found else None
 
 

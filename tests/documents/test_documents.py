@@ -1,6 +1,7 @@
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from flighttest.channels import CHANNELS
 from flighttest.documents import YamlDocument, nearest, write_text
 
 plain = st.recursive(
@@ -47,3 +48,5 @@ def test_every_value_has_its_line():
 def test_nearest_words():
     assert nearest("throtle", ["throttle", "height"]) == "throttle"
     assert nearest("zzzz", ["throttle", "height"]) is None
+    assert nearest("yaw", CHANNELS) == "yaw_rad"
+    assert nearest("target_x", CHANNELS) is None  # voltage_v was offered
