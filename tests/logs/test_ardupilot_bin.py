@@ -193,6 +193,19 @@ def test_the_throttle_asked_for_is_no_pilots_stick(dataflash, tmp_path, codes, l
     assert ("AngBst" in r.provenance.derived["throttle"]) == ("h" in codes)
 
 
+def test_the_throttle_of_the_rate_message_has_the_range_of_its_time(dataflash, tmp_path):
+    log = with_attitude(dataflash())
+    log.format("CTUN", "Qhhf", "TimeUS,ThrIn,AngBst,ThrOut")
+    log.format("RATE", "Qfffffff", "TimeUS,RDes,R,PDes,P,YDes,Y,AOut")
+    for k in range(100):
+        us = 10_000_000 + 20_000 * k
+        log.write("ATT", us, 0, 0, 0, 0, 0, 0)
+        log.write("RATE", us, 0, 0, 0, 0, 0, 0, 720.0)
+        if k % 5 == 0:
+            log.write("CTUN", us, 480, 20, 720.0)
+    assert import_log(log.save(tmp_path / "a.bin")).channel("throttle_out")[1] == pytest.approx(0.72)
+
+
 def test_values_no_vehicle_can_have_are_dropped_and_reported(flight, tmp_path):
     w = flight()
     data = bytearray(w.data)

@@ -126,13 +126,17 @@ class Targets:
         if "CTUN" not in self.tables:
             return None
         table, t_s = self.tables["CTUN"]
-        # Until Copter 3.3 all throttles are 0..1000 and ThrIn an integer, the pilot's; from then on a float, the autopilot's own, 0..1.
-        stick = "ThrIn" in table and table.raw["ThrIn"].dtype.kind == "i"
-        name = next((n for n in names if n in table and not (stick and n == "ThrIn")), None)
+        name = next((n for n in names if n in table and not (self._old and n == "ThrIn")), None)
         if name is None:
             return None
-        one = ordered(t_s, {channel: table.get(name) * (1e-3 if stick else 1.0)}, "CTUN", [])
+        one = ordered(t_s, {channel: table.get(name) * (1e-3 if self._old else 1.0)}, "CTUN", [])
         return one.t_s, dict(one.columns)
+
+    @property
+    def _old(self) -> bool:
+        """Until Copter 3.3 all throttles are 0..1000 and ThrIn an integer, the pilot's; from then on a float, the autopilot's own, 0..1."""
+        table, _ = self.tables.get("CTUN", (None, None))
+        return table is not None and "ThrIn" in table and table.raw["ThrIn"].dtype.kind == "i"
 
     def output(self) -> Series | None:
         """Throttle after boost and filters."""
@@ -140,7 +144,7 @@ class Targets:
         if "RATE" in self.tables and "AOut" in self.tables["RATE"][0]:
             table, t_s = self.tables["RATE"]
             if found is None or len(table) > found[0].size:
-                return ordered(t_s, {"throttle_out": table.get("AOut")}, "RATE", [])
+                return ordered(t_s, {"throttle_out": table.get("AOut") * (1e-3 if self._old else 1.0)}, "RATE", [])
         return Series(*found) if found is not None else None
 
 
