@@ -44,12 +44,15 @@ class Refusal(Enum):
     SPEED = "the vehicle is faster than the speed limit"
     BATTERY = "the battery's 2 s mean voltage is below the limit"
     VOLTAGE_UNKNOWN = "no battery voltage is known, though the script limits it"
+    ON_GROUND = "the vehicle is on the ground, or nearer to it than to the lowest height allowed"
 
 
 LINK = frozenset({Refusal.LINK, Refusal.UPLINK, Refusal.HELD_UP, Refusal.TELEMETRY_OLD, Refusal.POSITION_OLD})
 """What comes of the link, not of the vehicle: such a step is tried once more."""
 SHOWN = frozenset({Refusal.MODE, Refusal.DISARMED})
 """What one HEARTBEAT shows, which may be another vehicle's or damaged: two of them end the flight, one refuses a target."""
+LOST_CONTROL = frozenset({Refusal.MEASURED_TILT, Refusal.ON_GROUND})
+"""What no further step mends: a vehicle whose tilt is not controlled, or that lies on the ground. It is landed, never flown to a start."""
 
 
 @dataclass(frozen=True)
@@ -169,10 +172,31 @@ def readiness(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
             found.append(Refusal.VOLTAGE_UNKNOWN)
         elif not state.voltage_v >= gate.limits.voltage_min_v:
             found.append(Refusal.BATTERY)
-    tilt = state.tilt_rad
-    if tilt is not None and not tilt <= gate.limits.tilt_abort_rad + EPSILON:
+    if over_tilted(state, gate):
         found.append(Refusal.MEASURED_TILT)
     return tuple(found)
+
+
+def over_tilted(state: VehicleState, gate: GateLimits) -> bool:
+    """Whether the vehicle is seen to tilt more than the abort limit."""
+    tilt = state.tilt_rad
+    return tilt is not None and not tilt <= gate.limits.tilt_abort_rad + EPSILON
+
+
+def on_ground(state: VehicleState, gate: GateLimits) -> bool:
+    """Whether a vehicle that has taken off is seen nearer to the ground than to the lowest height at which it may be."""
+    return state.height_m is not None and state.height_m < 0.5 * lowest_m(gate)
+
+
+def lost_control(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
+    """Which of `LOST_CONTROL` hold for a vehicle that has taken off, in any mode."""
+    seen = {Refusal.MEASURED_TILT: over_tilted(state, gate), Refusal.ON_GROUND: on_ground(state, gate)}
+    return tuple(refusal for refusal, holds in seen.items() if holds)
+
+
+def lowest_m(gate: GateLimits) -> float:
+    """The lowest height that script and zone allow, m."""
+    return max(gate.limits.height_m[0], gate.zone.z_m[0])
 
 
 def _motion(target: AttitudeTarget, state: VehicleState, gate: GateLimits, step: bool) -> list[Refusal]:
@@ -192,7 +216,7 @@ def _motion(target: AttitudeTarget, state: VehicleState, gate: GateLimits, step:
 
 def height_inside(target: AttitudeTarget, state: VehicleState, gate: GateLimits) -> bool:
     """Whether the vehicle, stopped from now on as hard as the supervisor would, stays inside the height limits and the zone's."""
-    low = max(gate.limits.height_m[0], gate.zone.z_m[0])
+    low = lowest_m(gate)
     high = min(gate.limits.height_m[1], gate.zone.z_m[1])
     assert state.height_m is not None
     bottom, top = stopping_heights(target.throttle, state.height_m, state.climb_m_s or 0.0, gate)

@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 
-from flighttest.flight.execution import control, scheduler, supervisor
+from flighttest.flight.execution import climb, control, scheduler, supervisor
 from flighttest.flight.execution.machine import (
     ENDS,
     EXTERNAL,
@@ -132,7 +132,7 @@ def test_what_others_do_is_foreseen_in_every_state(state: FlightState, event: Ev
 
 
 def test_what_is_called_impossible_is_so_by_its_limits() -> None:
-    longest_climb_s = scheduler.TAKE_OFF_WITHIN_S + scheduler.CLIMBS_WITHIN_S
+    longest_climb_s = climb.TAKE_OFF_WITHIN_S + scheduler.CLIMBS_WITHIN_S
     assert longest_climb_s + UNANSWERED_S < control.UPLINK_GIVE_UP_S, (
         "the take-off itself waits for an answer for so long"
     )

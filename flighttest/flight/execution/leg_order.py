@@ -12,7 +12,7 @@ from flighttest.plan import Leg
 
 REFUSED_CELL_MAX = 2
 # What a gust or a slow moment of the host can cause: such a leg is tried once more at the end.
-_PASSING = frozenset({Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refusal.MEASURED_TILT}) | SHOWN
+_PASSING = frozenset({Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED}) | SHOWN
 CellKey: TypeAlias = tuple[str, str, tuple[tuple[str, float], ...]]
 
 

@@ -15,7 +15,7 @@ from flighttest import frames
 from flighttest.flight.execution.control import FlightControl
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.supervisor import UNSEEN_S, enter, enter_nogps
-from flighttest.flight.gate import LINK, Refusal, readiness
+from flighttest.flight.gate import LINK, Refusal, lost_control, readiness
 from flighttest.flight.state import VehicleState
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget
@@ -57,7 +57,7 @@ class Arrival(Enum):
 
 @dataclass(frozen=True)
 class Arrived:
-    """The end of a reset. hover_throttle: as measured while it was still; refused: the gate's reasons where it stopped our own loop."""
+    """The end of a reset. hover_throttle: as measured while it was still; refused: the gate's reasons where it ended the way there."""
 
     how: Arrival
     hover_throttle: float | None = None
@@ -157,6 +157,9 @@ def guided(control: FlightControl, start: LegStart) -> Arrived:
             return Arrived(Arrival.STOPPED)
         if control.state.mode == CopterMode.GUIDED_NOGPS and not enter(control, CopterMode.GUIDED, meanwhile=hold):
             return Arrived(Arrival.NO_GUIDED)  # an earlier request that was carried out late
+        lost = lost_control(control.state, control.gate)
+        if lost:
+            return Arrived(Arrival.REFUSED, refused=lost)
         now = control.session.now_s()
         if now >= next_ask and control.state.mode_age_s < UNSEEN_S:
             # Streamed: without a new one within GUID_TIMEOUT (0.2 s here) ArduPilot stops turning to the heading (flown).

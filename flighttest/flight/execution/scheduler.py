@@ -8,25 +8,25 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 
 from flighttest.errors import LinkError
+from flighttest.flight.execution import climb, reset, supervisor
 from flighttest.flight.execution import legs as flying
-from flighttest.flight.execution import reset, supervisor
 from flighttest.flight.execution.control import FlightControl, refusal_sentences
 from flighttest.flight.execution.leg_order import LegOrder
 from flighttest.flight.execution.legs import AutopilotSettings
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.reset import Arrival
 from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace, ThrustSeen, hover_off, learnt
-from flighttest.flight.gate import LINK, Refusal, readiness
+from flighttest.flight.gate import LINK, LOST_CONTROL, Refusal, lost_control
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
 from flighttest.link.session import LinkSilent
 from flighttest.mavlink import CopterMode
-from flighttest.plan import AttitudeTarget, Leg, Plan
+from flighttest.plan import Leg, Plan
 
 REFUSED_IN_A_ROW_MAX = 4
 UNSETTLED_IN_A_ROW_MAX = 2  # each of them tried twice
 RETRIES = 1  # of a leg that the link interrupted or that did not settle
-_RESET_GUESS_S, TAKE_OFF_WITHIN_S = 10.0, 40.0
-_CLIMBS_M, CLIMBS_WITHIN_S = 0.3, 4.0  # the built-in vehicle is lower 2 s after the first of two requests
+_RESET_GUESS_S = 10.0
+CLIMBS_M, CLIMBS_WITHIN_S = 0.3, 4.0  # the built-in vehicle is lower 2 s after the first of two requests
 _VOLTAGE_WAIT_S = 1.0
 _LAND_S = 120.0
 _CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
@@ -106,10 +106,10 @@ class Scheduler:
         self.on_armed()
         control.show(doing="taking off", next=self.plan.legs[0].id)
         if not by_position:
-            return self._climb_by_throttle(height)
+            return self._climbed(climb.by_throttle(control, height))
         answer = vehicle.take_off(height)
         # A repeated request is refused in the air.
-        climbs = answer.tries > 1 and self._reaches(_CLIMBS_M, CLIMBS_WITHIN_S)
+        climbs = answer.tries > 1 and climb.reaches(control, CLIMBS_M, CLIMBS_WITHIN_S)
         if answer.result is None and not climbs:
             self.notes.append("the vehicle did not answer the request to take off")
             return FlightOutcome.CLIMB_ENDED
@@ -117,7 +117,7 @@ class Scheduler:
             raise LinkError(
                 f"take-off was refused ({answer.sentence})", "remove the reason that the vehicle gave, then fly again"
             )
-        return self._climb(height)
+        return self._climbed(climb.by_position(control, height))
 
     def disarm_when_heard(self) -> None:
         """The link was lost while arming: it may be armed by now. FlightEnded where it does not come back, or is not seen to disarm."""
@@ -136,49 +136,12 @@ class Scheduler:
         confirmed = self.control.vehicle.disarm().accepted or not self.control.vehicle.armed
         self.control.on(Event.OVER if confirmed else Event.ARMED)
 
-    def _climb(self, height: float) -> FlightOutcome | None:
-        return None if self._reaches(height - 0.5, TAKE_OFF_WITHIN_S) else self._not_climbed(height)
-
-    def _reaches(self, height: float, within_s: float) -> bool:
-        """Whether the vehicle is seen at a height in time, or the operator asks to stop before."""
-        deadline = self.control.session.now_s() + within_s
-        while self.control.session.now_s() < deadline:
-            state = self.control.cycle()
-            if self.control.stop_asked or (state.height_m is not None and state.height_m >= height):
-                return True
-        return False
-
-    def _not_climbed(self, height: float) -> FlightOutcome:
-        seen = self.control.state.height_m
-        known = "its height is not known" if seen is None else f"its height is {seen:.1f} m"
-        self.notes.append(f"the vehicle did not climb to {height:g} m within {TAKE_OFF_WITHIN_S:.0f} s: {known}")
+    def _climbed(self, why_not: str) -> FlightOutcome | None:
+        """None where the climb reached its height or the operator ended it; else the flight ends. why_not: as of `climb`."""
+        if not why_not:
+            return None
+        self.notes.append(why_not)
         return FlightOutcome.CLIMB_ENDED
-
-    def _climb_by_throttle(self, height: float) -> FlightOutcome | None:
-        """Without a position: throttle up gently over level attitude, hold at the height."""
-        control = self.control
-        control.after()
-        deadline = control.session.now_s() + TAKE_OFF_WITHIN_S
-        began = control.session.now_s()
-        while control.session.now_s() < deadline:
-            state = control.state
-            climb = state.climb_m_s or 0.0
-            if control.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
-                return None
-            found = readiness(state, control.gate)
-            if found:
-                supervisor.abort(control, refusal_sentences(found))
-                self.notes.append(f"the climb was ended: {'; '.join(refusal_sentences(found))}")
-                return FlightOutcome.CLIMB_ENDED
-            ramp = min((control.session.now_s() - began) / 4.0, 1.0)
-            low, high = control.gate.stop_throttle
-            throttle = control.hover_throttle * (0.4 + ramp * (0.8 - 0.4 * min(max(climb - 1.0, -0.5), 1.0)))
-            throttle = min(max(throttle, low), high)
-            yaw = state.attitude_rad[2] if state.attitude_rad else 0.0
-            refused = control.steer(AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle), yaw)
-            assert not refused, "level targets around hover always pass"
-            control.cycle()
-        return self._not_climbed(height)
 
     def land(self) -> None:
         """LAND where it is; it disarms by itself. FlightEnded where it was not seen to."""
@@ -245,7 +208,8 @@ class Scheduler:
             return None
         if Refusal.BATTERY in result.refused:
             return FlightOutcome.BATTERY
-        if Refusal.EKF in result.refused or order.refused_in_a_row >= REFUSED_IN_A_ROW_MAX:
+        ending = LOST_CONTROL | {Refusal.EKF}
+        if ending & set(result.refused) or order.refused_in_a_row >= REFUSED_IN_A_ROW_MAX:
             return FlightOutcome.ABORTED_BY_GATE
         order.try_again(leg, result, at_once=self._plan_is_due())
         return None
@@ -272,10 +236,7 @@ class Scheduler:
         began = control.session.now_s()
         arrived = self._reset(leg)
         if arrived.how is Arrival.REFUSED:
-            why = refusal_sentences(arrived.refused)
-            supervisor.abort(control, why)
-            outcome = LegOutcome.LINK_LOST if LINK & set(arrived.refused) else LegOutcome.REFUSED
-            return LegResult(leg.id, outcome, why, arrived.refused)
+            return self._refused_on_the_way(leg, arrived.refused)
         if not arrived.settled:
             why = (arrived.how.value,)
             control.recorder.event("note", f"{leg.id}: {arrived.how.value}", control.session.now_s())
@@ -299,6 +260,16 @@ class Scheduler:
         if seen is not None:
             self._seen.append(seen)
         return result
+
+    def _refused_on_the_way(self, leg: Leg, refused: tuple[Refusal, ...]) -> LegResult:
+        why = refusal_sentences(refused)
+        if LOST_CONTROL & set(refused):
+            # Landed at once: no abort mode brings it back, and BRAKE and GUIDED would lift what lies on the ground.
+            supervisor.report(self.control, why, "", (CopterMode.LAND,))
+            return LegResult(leg.id, LegOutcome.REFUSED, why, refused)
+        supervisor.abort(self.control, why)
+        outcome = LegOutcome.LINK_LOST if LINK & set(refused) else LegOutcome.REFUSED
+        return LegResult(leg.id, outcome, why, refused)
 
     # -- planning again ------------------------------------------------------------------------------------------------------
 
@@ -327,6 +298,9 @@ class Scheduler:
         self._note(f"planned again for what was seen: {found.words}")
 
     def _reset(self, leg: Leg) -> reset.Arrived:
+        lost = lost_control(self.control.state, self.control.gate) if self.plan.reset.by != "pilot" else ()
+        if lost:
+            return reset.Arrived(Arrival.REFUSED, refused=lost)
         world = self.control.gate.zone.to_world(leg.start_m)
         start = reset.LegStart(
             (float(world[0]), float(world[1]), float(world[2])), leg.heading_rad, self.plan.reset.settle_s

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from flighttest.flight.execution.control import FlightControl
 from flighttest.flight.execution.machine import Event, FlightState
+from flighttest.flight.gate import on_ground
 from flighttest.flight.state import VehicleState
 from flighttest.mavlink import CopterMode, mode_name
 from flighttest.mavlink.dialect import dialect
@@ -54,8 +55,14 @@ def abort(control: FlightControl, why: tuple[str, ...], step: str = "") -> Copte
     Level targets go out every cycle until HEARTBEAT shows the mode. FlightEnded when the pilot takes over, or the link stays silent.
     """
     control.release()
+    modes = abort_modes(control.state)
+    report(control, why, step, modes)
+    return ask_until_shown(control, modes, control.release)
+
+
+def report(control: FlightControl, why: tuple[str, ...], step: str, modes: tuple[CopterMode, ...]) -> None:
+    """Note why what is flown ends here, in which situation and with which modes to ask for, and alarm the operator."""
     state = control.state
-    modes = abort_modes(state)
     situation: EventData = {
         "modes": [m.name for m in modes],
         "height_m": state.height_m,
@@ -68,7 +75,6 @@ def abort(control: FlightControl, why: tuple[str, ...], step: str = "") -> Copte
     }
     control.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
     control.alarm((f"{step} is stopped: " if step else "") + ("; ".join(why) or "abort"))
-    return ask_until_shown(control, modes, control.release)
 
 
 class ModeRequest:
@@ -138,12 +144,14 @@ def release(control: FlightControl, why: str) -> None:
 
 def come_to_rest(control: FlightControl) -> None:
     """Stay in the abort mode until it has stopped the vehicle: the next mode may not brake as hard (GUIDED takes 10 m to stop a climb of
-    4 m/s, flown). Only where a position is known, and not for long: LAND does not come to rest in the air.
+    4 m/s, flown). Only where a position is known, and not for long: LAND does not come to rest in the air, and what lies on the ground
+    does not come to rest in BRAKE, which lifts it.
     """
     deadline = control.session.now_s() + REST_PATIENCE_S
     while control.session.now_s() < deadline and not control.stop_asked:
         state = control.state
-        if state.mode != CopterMode.BRAKE or not state.position_ok or (state.speed_m_s or 0.0) < AT_REST_M_S:
+        still = (state.speed_m_s or 0.0) < AT_REST_M_S or on_ground(state, control.gate)
+        if state.mode != CopterMode.BRAKE or not state.position_ok or still:
             return
         control.cycle()
 

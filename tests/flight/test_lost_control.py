@@ -1,0 +1,155 @@
+"""What controls no tilt, or lies on the ground, is landed: it is never flown to the start of another step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from flighttest.flight import FlightOutcome, FlightState, LegOutcome
+from flighttest.flight.execution import supervisor
+from flighttest.flight.gate import Refusal, lost_control
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import dialect, parser
+from flighttest.script.model import Limits
+from tests.flight.faulty import GATE, GOOD, LIMITS, FaultyLink, fly, make_leg, make_plan, options
+
+TIPPED_RAD = 1.0
+
+
+class Tipping(FaultyLink):
+    """tips_s: when the vehicle begins to report that it lies on its side, for half a second."""
+
+    tips_s = float("inf")
+
+    def receive(self, timeout_s: float) -> bytes:
+        data = super().receive(timeout_s)
+        if not self.tips_s <= self.sim.time_s < self.tips_s + 0.5:
+            return data
+        found = b""
+        for message in self._read.parse_buffer(data) or []:
+            if message.get_type() == "ATTITUDE":
+                message.roll = TIPPED_RAD
+            found += bytes(message.pack(self._again))
+        return found
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._read, self._again = parser(1, 1), parser(1, 1)
+
+
+def tips_over(link: Tipping) -> None:
+    """The vehicle reports that it lies on its side."""
+    link.tips_s = link.sim.time_s
+
+
+def loses_thrust(link: Tipping) -> None:
+    """Propellers break: the motors cannot carry the vehicle any more."""
+    plant = link.sim.vehicle.plant
+    plant.parameters = replace(plant.parameters, K=0.25 * plant.parameters.K)
+
+
+def at(link: Tipping, word: str, then: Callable[[Tipping], None]) -> list[tuple[float, str, int]]:
+    """Let something happen at the first mark of that name, or at the first command of that number; what is sent after it."""
+    sent: list[tuple[float, str, int]] = []
+    done: list[str] = []
+
+    def look(message: object, t_s: float) -> None:
+        kind = message.get_type()  # type: ignore[attr-defined]
+        mode = -1
+        if kind == "COMMAND_LONG" and message.command == dialect.MAV_CMD_DO_SET_MODE:  # type: ignore[attr-defined]
+            mode = int(message.param2)  # type: ignore[attr-defined]
+        if done:
+            sent.append((t_s, kind, mode))
+        here = kind == "STATUSTEXT" and message.text.endswith(f" {word}")  # type: ignore[attr-defined]
+        if not done and (here or (kind == "COMMAND_LONG" and str(message.command) == word)):  # type: ignore[attr-defined]
+            done.append(kind)
+            then(link)
+
+    link.hook = look
+    return sent
+
+
+def modes_of(sent: list[tuple[float, str, int]]) -> set[int]:
+    return {mode for _, _, mode in sent if mode >= 0}
+
+
+def test_a_tilt_beyond_the_limit_ends_the_flight_with_land(run_dir: Path) -> None:
+    link = Tipping(options())
+    sent = at(link, "step", tips_over)
+    result = fly(make_plan(make_leg("a"), make_leg("b")), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.ABORTED_BY_GATE
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.REFUSED]
+    assert modes_of(sent) == {CopterMode.BRAKE, CopterMode.LAND}
+    assert result.left is FlightState.LANDED
+
+
+@pytest.mark.parametrize("by", ["guided", "attitude"])
+def test_what_has_fallen_is_not_flown_to_the_next_start(by: str, run_dir: Path) -> None:
+    """It was asked for GUIDED, and positions 5 m above it were sent to it for 34 s, twice for each step left."""
+    link = Tipping(options())
+    sent = at(link, "step", loses_thrust)
+    legs = (make_leg("a", duration_s=4.0), make_leg("b"), make_leg("c"))
+    result = fly(make_plan(*legs, by=by), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.ABORTED_BY_GATE
+    assert Refusal.ON_GROUND in result.legs[-1].refused
+    assert modes_of(sent) == {CopterMode.BRAKE, CopterMode.LAND}
+    assert "SET_POSITION_TARGET_LOCAL_NED" not in {kind for _, kind, _ in sent}
+    assert not link.sim.vehicle.armed
+
+
+@pytest.mark.parametrize(("by", "then"), [("guided", tips_over), ("guided", loses_thrust), ("attitude", tips_over)])
+def test_the_way_to_a_start_ends_where_control_is_lost(by: str, then: Callable[[Tipping], None], run_dir: Path) -> None:
+    link = Tipping(options())
+    lost_s: list[float] = []
+
+    def away(there: Tipping) -> None:
+        then(there)
+        lost_s.append(there.sim.time_s)
+
+    sent = at(link, "end", away)
+    far = replace(make_leg("b"), start_m=(5.0, 0.0, 5.0))
+    result = fly(make_plan(make_leg("a"), far, make_leg("c"), by=by), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.ABORTED_BY_GATE
+    assert result.left is FlightState.LANDED
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.FLOWN, LegOutcome.REFUSED]
+    assert max(t for t, kind, _ in sent if kind.startswith("SET_")) < lost_s[0] + 10.0
+
+
+def test_a_vehicle_that_tips_over_in_the_climb_is_landed_at_once(run_dir: Path) -> None:
+    link = Tipping(options())
+    sent = at(link, str(dialect.MAV_CMD_NAV_TAKEOFF), tips_over)
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.CLIMB_ENDED
+    assert any(Refusal.MEASURED_TILT.value in note for note in result.notes)
+    assert modes_of(sent) == {CopterMode.LAND}
+
+
+@pytest.mark.parametrize(
+    ("script_m", "zone_m", "height_m", "lost"),
+    [(2.0, 1.0, 0.99, True), (2.0, 1.0, 1.01, False), (0.4, 1.0, 0.49, True), (0.4, 0.4, 0.21, False)],
+)
+def test_the_ground_ends_halfway_to_the_lowest_height(
+    script_m: float, zone_m: float, height_m: float, lost: bool
+) -> None:
+    limits: Limits = replace(LIMITS, height_m=(script_m, 10.0))
+    gate = replace(GATE, limits=limits, zone=replace(GATE.zone, z_m=(zone_m, 10.0)))
+    found = lost_control(replace(GOOD, height_m=height_m), gate)
+    assert found == ((Refusal.ON_GROUND,) if lost else ())
+    assert lost_control(replace(GOOD, height_m=None), gate) == (), "what is not known ends nothing"
+
+
+@pytest.mark.parametrize(("height_m", "waits"), [(0.1, False), (4.0, True)])
+def test_what_moves_on_the_ground_is_not_waited_for_in_brake(height_m: float, waits: bool) -> None:
+    """BRAKE holds a height: it would lift what has fallen."""
+    state = replace(GOOD, mode=int(CopterMode.BRAKE), height_m=height_m, velocity_m_s=(1.0, 0.0, 0.0))
+    cycles: list[float] = []
+    session = SimpleNamespace(now_s=lambda: float(len(cycles)))
+    control = SimpleNamespace(
+        state=state, gate=GATE, session=session, stop_asked=False, cycle=lambda: cycles.append(1.0)
+    )
+    supervisor.come_to_rest(control)  # type: ignore[arg-type]
+    assert bool(cycles) is waits
