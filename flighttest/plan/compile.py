@@ -82,7 +82,7 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
         vehicle=vehicle,
         legs=legs,
         limits=limits,
-        reset=script.reset,
+        reset=replace(script.reset, to_m=_inside(script.reset.to_m, setting.clearance)),
         rate_hz=script.rate_hz,
         refusals=refusals,
         notes=(*_notes(fitted, fenced, script, setting), *_home(zone)),
@@ -301,10 +301,18 @@ def _notes(fitted: Sequence[FittedCell], fenced: int, script: Script, setting: S
         notes.append(
             f"{fenced} of {len(fitted)} steps drift past the zone's margin when the link is lost: the autopilot's fence has to stop them"
         )
-    to = np.array(script.reset.to_m)
-    if bool(np.any(to < setting.clearance.inner_low - 1e-9) or np.any(to > setting.clearance.inner_high + 1e-9)):
-        notes.append("reset.to lies outside the zone or its margin: each step starts as near to it as it fits")
+    asked_m, to_m = script.reset.to_m, _inside(script.reset.to_m, setting.clearance)
+    if to_m != asked_m:
+        where = "outside the zone's margin or the script's heights"
+        climbs = f"the vehicle takes off to {to_m[2]:g} m, and each step starts as near to it as it fits"
+        notes.append(f"reset.to ({asked_m[2]:g} m high) lies {where}: {climbs}")
     return tuple(notes)
+
+
+def _inside(place_m: tuple[float, float, float], clearance: Clearance) -> tuple[float, float, float]:
+    """The place nearest to one, zone frame, inside the zone's margin and the script's heights: the take-off must not leave them, either."""
+    x, y, z = np.clip(place_m, clearance.inner_low, clearance.inner_high)
+    return float(x), float(y), float(z)
 
 
 def _home(zone: Zone) -> tuple[str, ...]:

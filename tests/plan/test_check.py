@@ -64,6 +64,17 @@ def test_a_home_outside_of_the_zone_is_reported(predictor):
         assert any("is 20 m outside" in note for note in compile_plan(script, vehicle, predictor).notes) is noted
 
 
+@pytest.mark.parametrize(("top_m", "asked_m", "climbs_m"), [(4.0, 5, 3.5), (15.0, 25, 10), (15.0, 1, 2), (15.0, 5, 5)])
+def test_the_take_off_stays_inside_the_zone_and_the_scripts_heights(predictor, top_m, asked_m, climbs_m):
+    """A take-off to 5 m in a zone of 4 m was flown, and `check` said that all steps stay in the zone, which was true of the steps."""
+    vehicle = replace(DEFAULT_VEHICLE, zone=replace(DEFAULT_VEHICLE.zone, z_m=(0.5, top_m), margin_m=0.5))
+    head = f"reset: {{to: [0, 0, {asked_m}]}}\n"
+    step = "steps:\n  - attitude_step: {axis: roll, amplitude_rad: [0.1], sign: both, hold_s: 0.5}\n"
+    plan = compile_plan(parse_script(f"format: maneuver/1\nname: t\n{head}{step}"), vehicle, predictor)
+    assert plan.reset.to_m == (0.0, 0.0, climbs_m)
+    assert any(f"takes off to {climbs_m:g} m" in note for note in check(plan).notes) is (asked_m != climbs_m)
+
+
 def test_yaw_says_left_and_right(planned):
     directions = {row.leg.split("/")[1]: row.direction for row in check(planned("yaw_rate")).timeline}
     assert directions["yaw+1.00"] == "left"
