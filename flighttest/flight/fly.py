@@ -227,7 +227,7 @@ class _Flight:
             self.plan, self._parameters, control.state, rates, firmware, beat.type, simulator,
             rc_live=simulator or preflight.rc_live(vehicle), pace=self._pace, others=frozenset(session.others),
         )  # fmt: skip
-        control.reader.throttle_channel = int(self._parameters.get("RCMAP_THROTTLE", 3))
+        control.use_channels(self._parameters)
         self.recorder.flush(force=True)  # what comes in half a second is still in memory
         if self.recorder.failure:
             raise RecordingError(

@@ -6,6 +6,7 @@ Level attitude with a stopping or hover throttle always passes (a release target
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -175,6 +176,11 @@ def readiness(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
     if over_tilted(state, gate):
         found.append(Refusal.MEASURED_TILT)
     return tuple(found)
+
+
+def refusal_sentences(found: Sequence[Refusal]) -> tuple[str, ...]:
+    """The refusals as their sentences."""
+    return tuple(r.value for r in found)
 
 
 def over_tilted(state: VehicleState, gate: GateLimits) -> bool:

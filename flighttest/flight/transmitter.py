@@ -1,11 +1,17 @@
-"""Whether the autopilot receives the pilot's transmitter, by what it reports of its receiver."""
+"""The pilot's transmitter by what the autopilot reports of its receiver: whether it is received, and its mode switch."""
 
 from __future__ import annotations
+
+from bisect import bisect_right
 
 from flighttest.mavlink.dialect import Message, dialect
 
 LOST = "the pilot's transmitter is not received any more: the mode switch has no effect (stop with Ctrl-C: it lands)"
 BACK = "the pilot's transmitter is received again"
+POSITIONS_US = (1231, 1361, 1491, 1621, 1750)
+"""Pulse lengths, us, at which the second to the sixth position of a mode switch begin (ArduPilot, RC_Channel::read_6pos_switch)."""
+PULSES_US = (800, 2200)  # others are no position (RC_MIN_LIMIT_PWM, RC_MAX_LIMIT_PWM)
+STAYS_S = 0.2  # in a position before it counts (SWITCH_DEBOUNCE_TIME_MS)
 _BIT = dialect.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 
 
@@ -45,3 +51,36 @@ class Transmitter:
         if self.lost == before:
             return ""
         return LOST if self.lost else BACK
+
+
+class ModeSwitch:
+    """Follows the position of the pilot's mode switch. channel: FLTMODE_CH, 5 in ArduCopter; 0: no switch changes the mode."""
+
+    def __init__(self, channel: int = 5) -> None:
+        self.channel = channel
+        self.forget()
+
+    def forget(self) -> None:
+        """Take the next position that is seen for the one to start from."""
+        self._position: int | None = None
+        self._other: tuple[int, float] | None = None  # and since when it is seen
+
+    def moved(self, message: Message, t_s: float) -> bool:
+        """Whether this message shows the switch in another position than before, as it did for `STAYS_S`."""
+        position = self._shown(message)
+        if position is None:
+            return False
+        if self._position is None or position == self._position:
+            self._position, self._other = position, None
+        elif self._other is None or self._other[0] != position:
+            self._other = position, t_s
+        elif t_s - self._other[1] >= STAYS_S:
+            self._position, self._other = position, None
+            return True
+        return False
+
+    def _shown(self, message: Message) -> int | None:
+        if message.get_type() != "RC_CHANNELS" or not 0 < self.channel <= message.chancount:
+            return None
+        pulse_us = getattr(message, f"chan{self.channel}_raw", 0)
+        return bisect_right(POSITIONS_US, pulse_us) if PULSES_US[0] < pulse_us < PULSES_US[1] else None

@@ -106,7 +106,7 @@ def test_a_pilot_who_chooses_the_mode_that_an_abort_would_ask_for_keeps_it(mode:
 
 
 def test_a_vehicle_that_leaves_land_for_a_mode_of_ours_is_landed(run_dir: Path) -> None:
-    """BRAKE, asked for before LAND, is shown after it (sent twice by the link, or chosen by the pilot as well): LAND is asked for again."""
+    """BRAKE, asked for before LAND, is shown after it (sent twice by the link): LAND is asked for again."""
     link = FaultyLink(options())
     seen: list[float] = []
     steps: list[float] = []
@@ -122,7 +122,7 @@ def test_a_vehicle_that_leaves_land_for_a_mode_of_ours_is_landed(run_dir: Path) 
         if len(seen) == 1 and t_s > seen[0] + 0.15:
             assert link.sim.vehicle.mode == CopterMode.LAND
             seen.append(t_s)
-            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.BRAKE))
+            link.sim.vehicle.set_mode(int(CopterMode.BRAKE))
         return False
 
     link.hook, link.mute = look, mute

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from flighttest.flight import FlightOutcome
-from flighttest.flight.transmitter import BACK, LOST, Transmitter
-from flighttest.mavlink.dialect import Message, dialect
+from flighttest.flight import FlightOutcome, FlightState
+from flighttest.flight.transmitter import BACK, LOST, ModeSwitch, Transmitter
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import Message, dialect, parser
+from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run
 from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
@@ -64,3 +66,65 @@ def test_in_flight_it_is_said_at_once_and_recorded(run_dir: Path) -> None:
     t_s = next(t for t, text in reported if text == LOST)
     assert t_s - lost[0] < WITHIN_S
     assert [m.label for m in open_run(run_dir).markers if m.label in (LOST, BACK)] == [LOST, BACK]
+
+
+def switch(pulse_us: int, count: int = 16) -> Message:
+    """The mode switch on channel 5 at a pulse length."""
+    return dialect.MAVLink_rc_channels_message(0, count, *([1500] * 4), pulse_us, *([1500] * 13), 254)
+
+
+@pytest.mark.parametrize(
+    ("seen", "moved"),
+    [
+        ([(0.0, 1000), (0.2, 1300), (0.4, 1300)], 0.4),
+        ([(0.0, 1000), (0.2, 1300), (0.3, 1300), (0.5, 1300)], 0.5),  # ArduPilot debounces it for 0.2 s
+        ([(0.0, 1000), (0.2, 1300), (0.4, 1000), (0.6, 1300), (0.7, 1300)], None),  # it bounces
+        ([(0.0, 1000), (0.2, 1100), (0.4, 1230)], None),  # within the first position
+        ([(0.0, 1230), (0.2, 1231), (0.4, 1231)], 0.4),
+        ([(0.0, 1620), (0.2, 1621), (0.4, 1621)], 0.4),
+        ([(0.0, 1749), (0.2, 1750), (0.4, 1750)], 0.4),
+        ([(0.0, 1000), (0.2, 0), (0.4, 0), (0.6, 65535), (0.8, 65535)], None),
+        ([(0.0, 1000), (0.2, 800), (0.4, 800), (0.6, 2200), (0.8, 2200)], None),
+        ([(0.0, 0), (0.2, 1300), (0.4, 1300)], None),  # the first position seen is the one to start from
+    ],
+)
+def test_a_mode_switch_has_moved_once_it_stays(seen: list[tuple[float, int]], moved: float | None) -> None:
+    follows = ModeSwitch()
+    assert next((t for t, pulse in seen if follows.moved(switch(pulse), t)), None) == moved
+
+
+def test_a_channel_that_is_none_or_not_received_moves_no_switch() -> None:
+    for follows, count in ((ModeSwitch(0), 16), (ModeSwitch(5), 4)):
+        assert not any(follows.moved(switch(pulse, count), 0.2 * k) for k, pulse in enumerate([1000, 1300, 1300, 1300]))
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_pilot_who_chooses_the_mode_that_is_held_already_has_taken_over(lost: bool, run_dir: Path) -> None:
+    """BRAKE by the switch while the vehicle brakes for this program: HEARTBEAT shows no change, and the next step was flown."""
+    link = FaultyLink(options())
+    asked: list[float] = []
+    modes: list[int] = []
+
+    def look(message: object, now: float) -> None:
+        if message.get_type() != "COMMAND_LONG" or message.command != dialect.MAV_CMD_DO_SET_MODE:  # type: ignore[attr-defined]
+            return
+        if asked:
+            modes.append(int(message.param2))  # type: ignore[attr-defined]
+        if message.param2 == CopterMode.BRAKE and not asked:  # type: ignore[attr-defined]
+            asked.append(now)
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.BRAKE))
+            if lost:  # what a receiver puts out by itself is no move of the switch
+                off = (dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, dialect.MAVLINK_MSG_ID_SYS_STATUS, -1.0, *([0] * 5))
+                link.sim.send(bytes(dialect.MAVLink_command_long_message(1, 1, *off).pack(parser(255, 190))))
+                link.say(1, status(RECEIVER, 0))
+
+    link.hook = look
+    steep = make_leg("steep", lambda t: AttitudeTarget(t, 0.3 if t < 1.2 else 0.8, 0.0, 0.0, 0.18))
+    result = fly(make_plan(steep, make_leg("b")), "sim", run_dir, transport=link)
+    assert asked
+    if lost:
+        assert result.left is FlightState.LANDED
+    else:
+        assert result.outcome is FlightOutcome.TAKE_OVER
+        assert modes == []
+        assert link.sim.vehicle.mode == CopterMode.BRAKE

@@ -70,7 +70,7 @@ def test_a_pilot_who_is_not_seen_keeps_the_vehicle(run_dir: Path, lost: str, aft
     if lost == "everything":
         link.mute = unheard
     else:
-        link.silenced = lambda kind, t_s: kind == "HEARTBEAT" and unheard(t_s)
+        link.silenced = lambda kind, t_s: kind in ("HEARTBEAT", "RC_CHANNELS") and unheard(t_s)
     result = fly(make_plan(), "sim", run_dir, transport=link)
     assert result.outcome is FlightOutcome.LINK_LOST
     assert link.sim.vehicle.mode == CopterMode.LOITER

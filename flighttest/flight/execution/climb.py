@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from flighttest.flight.execution import supervisor
-from flighttest.flight.execution.control import FlightControl, refusal_sentences
-from flighttest.flight.gate import Refusal, over_tilted, readiness
+from flighttest.flight.execution.control import FlightControl
+from flighttest.flight.gate import Refusal, over_tilted, readiness, refusal_sentences
 from flighttest.plan import AttitudeTarget
 
 TAKE_OFF_WITHIN_S = 40.0

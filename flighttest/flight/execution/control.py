@@ -7,7 +7,7 @@ the flight.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from flighttest.flight.outcome import FlightProgress, OnProgress
 from flighttest.flight.preparation.changes import ExternalChanges
 from flighttest.flight.recorder import Recorder
 from flighttest.flight.state import StateReader, VehicleState
-from flighttest.flight.transmitter import Transmitter
+from flighttest.flight.transmitter import ModeSwitch, Transmitter
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.session import Session
 from flighttest.link.states import BROKEN, LinkState
@@ -101,6 +101,7 @@ class FlightControl:
         self._others = set(self.session.others)
         self.streams: StreamRates | None = None
         self._transmitter = Transmitter()
+        self.mode_switch = ModeSwitch()
         self._link = LinkState.SEARCHING
         self.session.listen(self._watch)
 
@@ -111,9 +112,15 @@ class FlightControl:
         if not self.machine.ours or event is Event.HANDED_BACK:
             self._mode, self._was_armed = self.vehicle.mode, self.vehicle.armed
             self._unconfirmed, self.session.held = None, False
+            self.mode_switch.forget()
         self.machine.on(event, why)
         if not self.machine.ours and self._unconfirmed is not None and self._unconfirmed.event is Event.DISARMED:
             self._unconfirmed, self.session.held = None, False  # nothing is left to decide, and parameters are restored
+
+    def use_channels(self, parameters: Mapping[str, float]) -> None:
+        """The transmitter's channels by the vehicle's parameters."""
+        self.reader.throttle_channel = int(parameters.get("RCMAP_THROTTLE", self.reader.throttle_channel))
+        self.mode_switch.channel = int(parameters.get("FLTMODE_CH", self.mode_switch.channel))
 
     @property
     def owned(self) -> bool:
@@ -142,6 +149,11 @@ class FlightControl:
         if self.taken_over and message.get_type() == "HEARTBEAT":
             self._watch_late(int(message.custom_mode), is_armed(message), t_s)
         if not self.machine.ours:
+            return
+        if self.mode_switch.moved(message, t_s) and not self._transmitter.lost:
+            # Also into the mode that the vehicle is in by a request of ours, which HEARTBEAT cannot show.
+            self._unconfirmed = Unconfirmed(Event.FOREIGN_MODE, self.vehicle.mode, t_s, self.session.overtaken)
+            self._decide(t_s)
             return
         if message.get_type() == "PARAM_VALUE":
             text = self.external_changes.look(message.param_id, float(message.param_value))
@@ -380,8 +392,3 @@ class FlightControl:
                 stopping=self.stop_asked,
             )
         )
-
-
-def refusal_sentences(found: Sequence[Refusal]) -> tuple[str, ...]:
-    """The refusals as their sentences."""
-    return tuple(r.value for r in found)

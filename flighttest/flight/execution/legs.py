@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass
 
 from flighttest.flight.execution import supervisor
-from flighttest.flight.execution.control import UNSURE_S, FlightControl, refusal_sentences
+from flighttest.flight.execution.control import UNSURE_S, FlightControl
 from flighttest.flight.execution.machine import Event
 from flighttest.flight.execution.reset import HoldLoop, LegStart
 from flighttest.flight.execution.response import ThrottleTrace
-from flighttest.flight.gate import LINK, Refusal
+from flighttest.flight.gate import LINK, Refusal, refusal_sentences
 from flighttest.flight.outcome import LegOutcome, LegResult
 from flighttest.flight.recorder import mark_id
 from flighttest.link import parameters as params

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field, replace
 from flighttest.errors import LinkError
 from flighttest.flight.execution import climb, reset, supervisor
 from flighttest.flight.execution import legs as flying
-from flighttest.flight.execution.control import FlightControl, refusal_sentences
+from flighttest.flight.execution.control import FlightControl
 from flighttest.flight.execution.leg_order import LegOrder
 from flighttest.flight.execution.legs import AutopilotSettings
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.reset import Arrival
 from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace, ThrustSeen, hover_off, learnt
-from flighttest.flight.gate import LINK, LOST_CONTROL, Refusal, lost_control
+from flighttest.flight.gate import LINK, LOST_CONTROL, Refusal, lost_control, refusal_sentences
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
 from flighttest.link.session import LinkSilent
 from flighttest.mavlink import CopterMode
