@@ -16,6 +16,7 @@ from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.placing import place_home, place_zone
 from flighttest.flight.execution.scheduler import Scheduler
 from flighttest.flight.gate import GateLimits
+from flighttest.flight.leaving import left_words, may_restore
 from flighttest.flight.options import FlightSettings
 from flighttest.flight.outcome import FlightEnded, FlightOutcome
 from flighttest.flight.preparation import preflight, priority
@@ -38,7 +39,7 @@ from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.clock import Clock
 from flighttest.link.port import MavlinkPort
-from flighttest.link.session import LinkSilent, Session, StoppedByOperator
+from flighttest.link.session import Session, StoppedByOperator
 from flighttest.link.streams import StreamRates
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import mode_name
@@ -99,6 +100,7 @@ class _Flight:
         self._changes: ParameterChanges | None = None
         self._fence: ZoneFence | None = None
         self._checklist = ""
+        self._control: FlightControl | None = None
         self._unrestored = changed_values(options.left_behind)  # also where the vehicle is never reached
         recorder.manifest["parameters_set"] = record_of(recorder.run_dir.name, options.left_behind)
         self._external_changes = ExternalChanges({})
@@ -124,7 +126,7 @@ class _Flight:
                 # The vehicle is in the air, or may be: land it with what is left of the link, then report what happened.
                 why = str(error)
                 try:
-                    outcome = self._land_after(scheduler, error)
+                    outcome = scheduler.land_after(error)
                 except FlightEnded as ended:
                     outcome = ended.outcome
             except BaseException:  # a defect of ours, whatever it is, must not leave the vehicle with a step's throttle; it is raised after
@@ -208,7 +210,7 @@ class _Flight:
         self._stage("asking for telemetry")
         telemetry = Telemetry(vehicle, self.plan, self.recorder.manifest["connect"])
         telemetry.ask()
-        control = FlightControl(
+        control = self._control = FlightControl(
             vehicle,
             self._gate(),
             self.recorder,
@@ -359,30 +361,20 @@ class _Flight:
 
     # -- after ---------------------------------------------------------------------------------------------------------------
 
-    def _land_after(self, scheduler: Scheduler, error: LinkError) -> FlightOutcome:
-        silent = isinstance(error, LinkSilent)
-        if scheduler.control.machine.state is FlightState.ARMING and (silent or self.vehicle.armed):
-            scheduler.disarm_when_heard()
-            return FlightOutcome.LINK_LOST if silent else FlightOutcome.VEHICLE_REFUSED
-        if scheduler.control.machine.state in (FlightState.GROUND, FlightState.ARMING):
-            scheduler.control.on(Event.OVER)
-            return FlightOutcome.VEHICLE_REFUSED
-        if not scheduler.control.owned:
-            return FlightOutcome.LEFT_TO_PILOT
-        self._note(f"landing after: {error.message}")
-        scheduler.land()
-        return FlightOutcome.LINK_LOST if silent else FlightOutcome.VEHICLE_REFUSED
+    def _may_restore(self) -> bool:
+        return may_restore(self.vehicle, self._control)
 
     def _close(self) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
         self._external_changes.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}
         if self._fence is not None:
-            self._announce(self._fence.restore(airborne=self.vehicle.armed))
+            self._announce(self._fence.restore(may=self._may_restore()))
         if self._changes is not None and self._changes.pending:
-            self._stage("restoring parameters")
+            if self._may_restore():
+                self._stage("restoring parameters")
             try:
-                left = self._changes.restore(airborne=self.vehicle.armed)
+                left = self._changes.restore(self._may_restore)
             except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over the released vehicle
                 left = self._changes.pending
                 self.notes.append(str(error))
@@ -390,8 +382,7 @@ class _Flight:
             self._note(text)
         left |= self._unrestored
         if left:
-            text = ", ".join(f"{name} {preflight.figure(value)}" for name, value in left.items())
-            self._announce(f"not restored, set by hand: {text}")
+            self._announce(left_words(left, self._changes.unconfirmed if self._changes is not None else ()))
         self.recorder.manifest["parameters_left"] = left
         if self.session.port.muted and not self.session.lock_step:
             self.session.advance(self.session.now_s() + _LISTEN_AFTER_TAKE_OVER_S)

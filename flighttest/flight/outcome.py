@@ -31,7 +31,7 @@ class FlightOutcome(Enum):
     ARMED_BY_PILOT = "the vehicle was armed by somebody else before the take-off; nothing was commanded"
     NOT_LANDED = "the vehicle was still armed long after it was asked to land"
     REBOOTED = "the autopilot started anew during the flight"
-    DISARMED = "the vehicle disarmed by itself during the flight"
+    DISARMED = "the vehicle was disarmed in flight (by its crash check, the pilot or another station)"
 
     @property
     def complete(self) -> bool:

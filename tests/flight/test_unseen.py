@@ -114,7 +114,7 @@ def test_a_vehicle_that_is_left_in_the_air_keeps_its_fence(run_dir: Path) -> Non
     assert result.outcome is FlightOutcome.OPERATOR_ABORT
     assert link.sim.vehicle.armed
     assert set(result.parameters_left) == set(fence)
-    assert any("not restored, set by hand" in note for note in result.notes)
+    assert any("Set it by hand" in note for note in result.notes)
 
 
 def test_an_estimator_that_reports_no_more_is_not_used(run_dir: Path) -> None:

@@ -131,6 +131,21 @@ class Scheduler:
         if control.owned:
             self.land()
 
+    def land_after(self, error: LinkError) -> FlightOutcome:
+        """Land a vehicle that may be in the air, after a command that was refused or not answered; with what the flight ends."""
+        control, silent = self.control, isinstance(error, LinkSilent)
+        if control.machine.state is FlightState.ARMING and (silent or control.vehicle.armed):
+            self.disarm_when_heard()
+            return FlightOutcome.LINK_LOST if silent else FlightOutcome.VEHICLE_REFUSED
+        if control.machine.state in (FlightState.GROUND, FlightState.ARMING):
+            control.on(Event.OVER)
+            return FlightOutcome.VEHICLE_REFUSED
+        if not control.owned:
+            return FlightOutcome.LEFT_TO_PILOT
+        self._note(f"landing after: {error.message}")
+        self.land()
+        return FlightOutcome.LINK_LOST if silent else FlightOutcome.VEHICLE_REFUSED
+
     def _disarm(self) -> None:
         """Disarm a vehicle that has not taken off. It is still ours, to be landed, where it is armed and does not confirm."""
         confirmed = self.control.vehicle.disarm().accepted or not self.control.vehicle.armed

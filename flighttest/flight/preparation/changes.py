@@ -125,7 +125,7 @@ class ParameterChanges:
         self._known = known
         self._hardware = hardware
         self._before: dict[str, LeftParameter] = dict(inherited)
-        self._own: set[str] = set()  # set in this flight
+        self.unconfirmed: set[str] = set()  # sent to be put back, and not confirmed
 
     def apply(
         self,
@@ -154,30 +154,29 @@ class ParameterChanges:
         for name, value in own.values():
             refuse_armed(armed())
             was = self._known[name]
-            self._own.add(name)
             params.write_parameter(self._session, name, value, self._known)
-            note(f"{name} set from {figure(was)} to {figure(self._known[name])}; it is restored after the flight")
+            note(f"{name} set from {figure(was)} to {figure(self._known[name])} for the flight")
 
     @property
     def pending(self) -> dict[str, float]:
         """What still has to be restored: name to value."""
         return changed_values(self._before)
 
-    def restore(self, airborne: bool = False) -> dict[str, float]:
+    def restore(self, may: Callable[[], bool]) -> dict[str, float]:
         """Put everything back, verified; what could not be, with the value it should have, stays pending.
 
-        airborne: the fence stays as it is, since the vehicle is left in the air, and so does what an earlier flight set. A link that is
-        still silent after one of them has been tried is not waited for again.
+        may: whether anything may be set on the vehicle now, asked before each of them. A link that is still silent after one of them has
+        been tried is not waited for again.
         """
         tried = False
         for name, value in reversed(list(self.pending.items())):
             gone = max(self._session.silence_s, self._session.uplink_silence_s) > _GONE_S
-            if self._session.port.muted or (tried and gone):
+            if not may() or (tried and gone):
                 break
-            if airborne and (name.startswith("FENCE_") or name not in self._own):
-                continue
             tried = True
+            self.unconfirmed.add(name)
             with contextlib.suppress(LinkError):  # it is reported as left
                 params.write_parameter(self._session, name, value, self._known)
                 del self._before[name]
+                self.unconfirmed.discard(name)
         return self.pending

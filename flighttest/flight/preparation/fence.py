@@ -193,12 +193,12 @@ class ZoneFence:
             if not low + inset < value < high - inset:
                 raise _refused("the vehicle stands outside the zone's polygon", "carry it into the zone")
 
-    def restore(self, *, airborne: bool) -> str:
-        """Put the fence back that the vehicle kept, verified; a sentence where it could not be, else ''. A vehicle
-        that is left in the air keeps the zone's."""
+    def restore(self, *, may: bool) -> str:
+        """Put the fence back that the vehicle kept, verified; a sentence where it could not be, else ''. may: whether anything may be set
+        on the vehicle now: one that is left in the air keeps the zone's."""
         if self._set is None:
             return ""
-        if self._restores and not airborne and not self._vehicle.session.port.muted:
+        if self._restores and may:
             try:
                 self._fence.write(self._set.before)
             except FlighttestError as error:

@@ -1,0 +1,37 @@
+"""What a flight set on the vehicle, at its end: put back where the vehicle is seen on the ground, else left, and said."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from flighttest.flight.execution.control import FlightControl
+from flighttest.flight.execution.machine import FlightState
+from flighttest.flight.execution.supervisor import UNSEEN_S
+from flighttest.flight.gate import on_ground
+from flighttest.flight.preparation.preflight import figure
+from flighttest.link.ardupilot import ArduPilot
+
+_DOWN = frozenset({FlightState.GROUND, FlightState.ARMING, FlightState.NOT_ARMED, FlightState.LANDED})
+
+
+def may_restore(vehicle: ArduPilot, control: FlightControl | None) -> bool:
+    """Whether something may be set on the vehicle now: it is heard, disarmed, and came down as far as this flight saw. On one that is in
+    the air, or may be, a pilot may rely on what is set. control: None before there was one."""
+    session = vehicle.session
+    beat = session.latest.get("HEARTBEAT")
+    unseen_s = UNSEEN_S * max(session.clock.pace, 1.0)
+    if beat is None or session.now_s() - beat.t_s > unseen_s or vehicle.armed or session.port.muted:
+        return False
+    if control is None or control.machine.state in _DOWN:
+        return True
+    return control.machine.state is FlightState.DISARMED and on_ground(control.state, control.gate)
+
+
+def left_words(left: Mapping[str, float], unconfirmed: Collection[str]) -> str:
+    """What was not put back, with the value it should have, and what follows from that. unconfirmed: names that were sent."""
+    sent = dict.fromkeys(unconfirmed, ", which was sent but not confirmed")
+    values = "; ".join(f"{name} {figure(value)}{sent.get(name, '')}" for name, value in left.items())
+    fence = (
+        "; the fence of this flight (height, radius) is still on" if any(n.startswith("FENCE_") for n in left) else ""
+    )
+    return f"not restored: {values}. Set it by hand, or let the next run with --set-params restore it{fence}"

@@ -1,0 +1,139 @@
+"""Nothing is set on a vehicle at a flight's end unless it is seen on the ground; what is left is said, and stays on record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from flighttest.flight import FlightOutcome, FlightState
+from flighttest.flight.leaving import left_words, may_restore
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import dialect, parser
+from tests.flight.faulty import GATE, GOOD, FaultyLink, fly, make_plan, options
+
+SET = {"GUID_OPTIONS": 0.0, "GUID_TIMEOUT": 3.0}
+
+
+def at_step(link: FaultyLink) -> list[float]:
+    """When the first step is marked, and the parameters that are set from then on."""
+    began: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(" step") and not began:  # type: ignore[attr-defined]
+            began.append(t_s)
+        if began and message.get_type() == "PARAM_SET":  # type: ignore[attr-defined]
+            began.append(t_s)
+
+    link.hook = look
+    return began
+
+
+def stop_motors(link: FaultyLink) -> None:
+    """Another station disarms the vehicle by force."""
+    by_force = (dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0, 0.0, 21196, *([0] * 5))
+    link.sim.send(bytes(dialect.MAVLink_command_long_message(1, 1, *by_force).pack(parser(255, 190))))
+
+
+def test_a_pilot_who_flies_unseen_is_not_sent_a_parameter(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The downlink is lost, the pilot takes over, and 30 s later a parameter was sent to the vehicle and listed as not restored."""
+    monkeypatch.setattr("flighttest.flight.execution.control.GIVE_UP_AFTER_S", 8.0)
+    link = FaultyLink(options(parameters=SET))
+    began = at_step(link)
+    link.mute = lambda t: bool(began) and t > began[0] + 0.1
+
+    def pilot(t_s: float) -> bool:
+        if began and t_s > began[0] + 3.0:
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
+        return False
+
+    link.deaf = pilot
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.LINK_LOST
+    assert len(began) == 1, "no parameter is set"
+    assert set(SET) <= set(result.parameters_left)
+    assert link.sim.vehicle.store["GUID_OPTIONS"] == 8.0
+
+
+def test_a_vehicle_that_falls_is_not_sent_a_parameter(run_dir: Path) -> None:
+    """Stopped in the air by another station: PARAM_SETs left while it fell."""
+    link = FaultyLink(options(parameters=SET))
+    began = at_step(link)
+    done: list[float] = []
+
+    def killed(t_s: float) -> bool:
+        if began and not done and t_s > began[0] + 0.2:
+            done.append(t_s)
+            stop_motors(link)
+        return False
+
+    link.deaf = killed
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.DISARMED
+    assert len(began) == 1, "no parameter is set"
+    assert set(SET) <= set(result.parameters_left)
+
+
+def test_a_vehicle_that_is_left_in_the_air_is_not_sent_a_parameter(run_dir: Path) -> None:
+    link = FaultyLink(options(parameters=SET))
+    began = at_step(link)
+    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: 2 if began else 0)
+    assert result.left is FlightState.IN_ABORT_MODE
+    assert len(began) == 1, "no parameter is set"
+    assert set(SET) <= set(result.parameters_left)
+
+
+def test_after_a_take_over_it_is_said_what_stays_set(run_dir: Path) -> None:
+    """Restoring was announced and not tried, and each parameter was said to be restored after the flight."""
+    link = FaultyLink(options(parameters=SET))
+    began = at_step(link)
+    stages: list[str] = []
+
+    def pilot(t_s: float) -> bool:
+        if began and t_s > began[0] + 0.2:
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
+        return False
+
+    link.deaf = pilot
+    result = fly(make_plan(), "sim", run_dir, transport=link, on_stage=stages.append)
+    assert result.outcome is FlightOutcome.TAKE_OVER
+    assert "restoring parameters" not in stages
+    assert not any("restored after" in note for note in result.notes)
+    assert any(note.startswith("not restored: ") and "GUID_OPTIONS 0; GUID_TIMEOUT 3" in note for note in result.notes)
+
+
+def test_what_was_sent_and_the_fence_that_is_still_on_are_said() -> None:
+    words = left_words({"GUID_OPTIONS": 0.0, "FENCE_ENABLE": 0.0}, {"GUID_OPTIONS"})
+    assert words.startswith(
+        "not restored: GUID_OPTIONS 0, which was sent but not confirmed; FENCE_ENABLE 0. Set it by hand"
+    )
+    assert words.endswith("the fence of this flight (height, radius) is still on")
+    assert "fence" not in left_words({"GUID_OPTIONS": 0.0}, ())
+
+
+@pytest.mark.parametrize(
+    ("age_s", "armed", "muted", "state", "height_m", "may"),
+    [
+        (0.1, False, False, FlightState.LANDED, 0.0, True),
+        (1.6, False, False, FlightState.LANDED, 0.0, False),
+        (0.1, True, False, FlightState.GROUND, 0.0, False),
+        (0.1, False, True, FlightState.NOT_ARMED, 0.0, False),
+        (0.1, False, False, FlightState.DISARMED, 0.1, True),
+        (0.1, False, False, FlightState.DISARMED, 4.0, False),
+        (0.1, False, False, FlightState.UNKNOWN, 0.1, False),
+    ],
+)
+def test_a_vehicle_is_set_where_it_is_heard_disarmed_and_down(
+    age_s: float, armed: bool, muted: bool, state: FlightState, height_m: float, may: bool
+) -> None:
+    session = SimpleNamespace(
+        latest={"HEARTBEAT": SimpleNamespace(t_s=10.0 - age_s)},
+        now_s=lambda: 10.0,
+        clock=SimpleNamespace(pace=1.0),
+        port=SimpleNamespace(muted=muted),
+    )
+    seen = replace(GOOD, height_m=height_m)
+    control = SimpleNamespace(machine=SimpleNamespace(state=state), state=seen, gate=GATE)
+    assert may_restore(SimpleNamespace(session=session, armed=armed), control) is may  # type: ignore[arg-type]
