@@ -16,7 +16,7 @@ from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.placing import place_home, place_zone
 from flighttest.flight.execution.scheduler import Scheduler
 from flighttest.flight.gate import GateLimits
-from flighttest.flight.leaving import left_words, may_restore
+from flighttest.flight.leaving import left_words, may_restore, records_behind
 from flighttest.flight.options import FlightSettings
 from flighttest.flight.outcome import FlightEnded, FlightOutcome
 from flighttest.flight.preparation import preflight, priority
@@ -70,6 +70,7 @@ def fly(
     opened = transport if transport is not None else open_transport(link_url)
     session = Session(MavlinkPort(opened, system=options.system, key=options.signing_key), clock)
     manifest = first_manifest(plan, link_url, options.weather, options.resume)
+    manifest |= records_behind(run_dir.name, options.left_behind, options.fence_behind)
     recorder = Recorder(run_dir, session.clock.ground_s, manifest, plan)
     session.port.tap(recorder.tap)
     flight = _Flight(plan, session, recorder, options, real_clock=clock is None)
@@ -102,7 +103,6 @@ class _Flight:
         self._checklist = ""
         self._control: FlightControl | None = None
         self._unrestored = changed_values(options.left_behind)  # also where the vehicle is never reached
-        recorder.manifest["parameters_set"] = record_of(recorder.run_dir.name, options.left_behind)
         self._external_changes = ExternalChanges({})
 
     def run(self) -> FlightResult:

@@ -8,8 +8,11 @@ from flighttest.flight.execution.control import FlightControl
 from flighttest.flight.execution.machine import FlightState
 from flighttest.flight.execution.supervisor import UNSEEN_S
 from flighttest.flight.gate import on_ground
+from flighttest.flight.preparation.changes import LeftParameter, changed_values, record_of
+from flighttest.flight.preparation.fence import FenceSet, fence_data
 from flighttest.flight.preparation.preflight import figure
 from flighttest.link.ardupilot import ArduPilot
+from flighttest.recording.manifest import Manifest
 
 _DOWN = frozenset({FlightState.GROUND, FlightState.ARMING, FlightState.NOT_ARMED, FlightState.LANDED})
 
@@ -25,6 +28,14 @@ def may_restore(vehicle: ArduPilot, control: FlightControl | None) -> bool:
     if control is None or control.machine.state in _DOWN:
         return True
     return control.machine.state is FlightState.DISARMED and on_ground(control.state, control.gate)
+
+
+def records_behind(run: str, left: Mapping[str, LeftParameter], fence: FenceSet | None) -> Manifest:
+    """What an earlier flight left, for the manifest with which a run begins: whatever ends the run, the next one finds it there."""
+    found: Manifest = {"parameters_changed": changed_values(left), "parameters_set": record_of(run, left)}
+    if fence is not None:
+        found["fence_set"] = fence_data(run, fence, left=True)
+    return found
 
 
 def left_words(left: Mapping[str, float], unconfirmed: Collection[str]) -> str:

@@ -25,6 +25,7 @@ from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import dialect, parser
+from flighttest.pipeline.store.resuming import fence_behind
 from flighttest.plan import Plan
 from flighttest.recording.store import read_manifest
 from flighttest.vehicle.model import Zone
@@ -214,6 +215,7 @@ def test_a_fence_that_was_drawn_since_is_left_alone(run_dir: Path) -> None:
     hand_over(link, OWN)
     fly(make_plan(), "sim", run_dir, transport=link, fence_behind=behind)
     assert same_fence(aboard(link), OWN)
+    assert fence_behind(run_dir.parent, "paper") is None, "it is not taken away from a later flight, either"
 
 
 def test_a_record_that_is_none() -> None:

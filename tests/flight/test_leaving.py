@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from flighttest.errors import LinkError
 from flighttest.flight import FlightOutcome, FlightState
 from flighttest.flight.leaving import left_words, may_restore
+from flighttest.flight.preparation.changes import LeftParameter
+from flighttest.flight.preparation.fence import FenceSet
+from flighttest.link.onboard.fence import polygon
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import dialect, parser
+from flighttest.pipeline.store.resuming import fence_behind, left_behind
+from flighttest.recording.store import MANIFEST_NAME
 from tests.flight.faulty import GATE, GOOD, FaultyLink, fly, make_plan, options
 
 SET = {"GUID_OPTIONS": 0.0, "GUID_TIMEOUT": 3.0}
@@ -137,3 +144,23 @@ def test_a_vehicle_is_set_where_it_is_heard_disarmed_and_down(
     seen = replace(GOOD, height_m=height_m)
     control = SimpleNamespace(machine=SimpleNamespace(state=state), state=seen, gate=GATE)
     assert may_restore(SimpleNamespace(session=session, armed=armed), control) is may  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("ends", ["unheard", "killed"])
+def test_what_was_left_outlives_a_run_that_ends_early(
+    ends: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that heard no HEARTBEAT, or was killed while it read the parameters, had no record of a fence or of parameters."""
+    monkeypatch.setattr("flighttest.link.session.CONNECT_S", 0.05)
+    parameters = {"GUID_OPTIONS": LeftParameter(0.0, 8.0, "board")}
+    fence = FenceSet((), polygon([(10, 10), (10, 20), (20, 20)]), "board")
+    run_dir = tmp_path / "2026-01-01-a"
+    kept: list[bytes] = []
+    link = FaultyLink(options(), down=lambda _t: ends == "unheard")
+    link.hook = lambda _message, _t: kept.append((run_dir / MANIFEST_NAME).read_bytes())
+    with pytest.raises(LinkError) if ends == "unheard" else contextlib.nullcontext():
+        fly(make_plan(), "sim", run_dir, transport=link, left_behind=parameters, fence_behind=fence)
+    if ends == "killed":
+        (run_dir / MANIFEST_NAME).write_bytes(kept[0])
+    assert left_behind(tmp_path, "paper") == parameters
+    assert fence_behind(tmp_path, "paper") == fence

@@ -131,9 +131,10 @@ class ZoneFence:
         if behind.hardware != self._vehicle.hardware:
             return "by its record an earlier flight left a fence polygon, but on another autopilot: it is left alone"
         seen = self._fence.read()
-        if same_fence(seen, behind.before):
-            return ""
         if not same_fence(seen, behind.given):
+            self._keep(fence_data(self._run, behind, left=False))
+            if same_fence(seen, behind.before):
+                return ""
             return "an earlier flight left a fence polygon, but the vehicle keeps another one now: it is left alone"
         self._set, self._restores = behind, restoring
         self._record(left=True)
