@@ -18,7 +18,7 @@ from flighttest.sim import SimOptions
 from tests.faults.cells import Cell, changes_of_state, fly_cell
 from tests.faults.changes import PROVOKED, Piloted
 from tests.faults.proxy import Fault, When
-from tests.flight.faulty import FaultyLink, fly, make_plan, options
+from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 LATENCY_S = 0.3
 
@@ -148,3 +148,30 @@ def test_a_request_of_which_nothing_is_heard_is_repeated_after_two_seconds(waite
     request.ask_where_due(CopterMode.LAND)
     now[0] = state.t_s = 10.0 + waited_s
     assert request.due is due
+
+
+@pytest.mark.parametrize("stopped", [True, False])
+def test_a_flight_that_lacks_steps_lacks_them_whoever_lands(stopped: bool, run_dir: Path) -> None:
+    """Ctrl-C after the first step, and the pilot took over while it landed: it was called complete, with exit code 0."""
+    link = FaultyLink(options())
+    ended: list[float] = []
+    landing: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        kind = message.get_type()  # type: ignore[attr-defined]
+        if kind == "STATUSTEXT" and message.text.endswith(" end"):  # type: ignore[attr-defined]
+            ended.append(t_s)
+        if kind == "COMMAND_LONG" and message.param2 == CopterMode.LAND:  # type: ignore[attr-defined]
+            landing.append(t_s)
+
+    def pilot(t_s: float) -> bool:
+        if landing and t_s > landing[0] + 1.0:
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
+        return False
+
+    link.hook, link.deaf = look, pilot
+    plan = make_plan(make_leg("a"), make_leg("b"))
+    result = fly(plan, "sim", run_dir, transport=link, stop_requested=lambda: int(stopped and bool(ended)))
+    assert result.left is FlightState.WITH_PILOT
+    assert result.outcome is (FlightOutcome.OPERATOR_STOP if stopped else FlightOutcome.LEFT_TO_PILOT)
+    assert result.as_planned is not stopped

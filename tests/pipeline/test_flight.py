@@ -18,7 +18,7 @@ import pytest
 
 from flighttest.cli import main as cli_main
 from flighttest.errors import InputError
-from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult
+from flighttest.flight import FlightOutcome, FlightResult, FlightState, LegOutcome, LegResult
 from flighttest.flight.preparation import preflight
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.link import parameters as params
@@ -417,6 +417,18 @@ def test_a_run_is_resumed_as_printed(call, script, tmp_path, monkeypatch, gone):
     assert f"flying the vehicle at {link}" in out + err, "and is asked for"
     assert flown == [("x", link)] * 2, err
     assert len(list(out_dir.iterdir())) == 2, "beside the run that it goes on with"
+
+
+def test_what_a_take_over_left_out_can_be_flown_when_the_vehicle_is_down(call, script, tmp_path, monkeypatch):
+    """No command was printed, though a run that ended so can be resumed."""
+
+    def fly(plan, url, folder, _options):
+        Recorder(folder, lambda: 0.0, first_manifest(plan, url, "", None), plan)
+        return FlightResult(FlightOutcome.TAKE_OVER, folder, left=FlightState.WITH_PILOT, mode="LOITER")
+
+    monkeypatch.setattr(flying, "fly", fly)
+    _, out, _ = call("run", script, "--out", tmp_path / "runs", "--json")
+    assert re.search(r"`flighttest run --resume \S+` flies them when the vehicle is down", out), out
 
 
 def test_the_next_flight_is_printed_with_its_vehicle(tmp_path):

@@ -74,7 +74,7 @@ class Scheduler:
             try:
                 self.land()
             except FlightEnded:
-                if outcome.orderly:
+                if outcome is FlightOutcome.COMPLETED:
                     raise
                 # The outcome is what ended the flight first, not how the landing ended.
         return outcome

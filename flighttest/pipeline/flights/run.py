@@ -11,7 +11,7 @@ from pathlib import Path
 
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, ScriptError
-from flighttest.flight import FlightOutcome, FlightResult, FlightSettings, LegOutcome, fly
+from flighttest.flight import FlightOutcome, FlightResult, FlightSettings, FlightState, LegOutcome, fly
 from flighttest.flight.preparation import preflight
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
@@ -251,9 +251,10 @@ def _missing(plan: Plan, ended: FlightResult, earlier: Sequence[Path]) -> int:
 
 
 def _resume_command(plan: Plan, ended: FlightResult, earlier: Sequence[Path], scripts: Sequence[str]) -> str:
-    """The command that flies what a campaign lacks, '' where that is nothing, or the flight did not end between two steps. scripts: the
-    words for this script and those after it, where these were not flown."""
-    if not ended.outcome.orderly or not (scripts or _missing(plan, ended, earlier)):
+    """The command that flies what a campaign lacks, '' where that is nothing, or the flight ended neither between two steps nor with a
+    take-over. scripts: the words for this script and those after it, where these were not flown."""
+    resumable = ended.outcome.orderly or ended.outcome is FlightOutcome.TAKE_OVER
+    if not resumable or not (scripts or _missing(plan, ended, earlier)):
         return ""
     return f"flighttest run --resume {shlex.join([str(ended.run_dir), *scripts])}"
 
@@ -268,7 +269,9 @@ def _unlike_the_plan(
     if lacking:
         parts.append(f"{join(list(lacking))} {'was' if len(lacking) == 1 else 'were'} not flown")
     if parts:
-        flies = f": `{resume}` flies {'what is missing' if lacking else 'them'}" if resume else ""
+        down = ended.left in (FlightState.LANDED, FlightState.NOT_ARMED)
+        when = "" if down else " when the vehicle is down"
+        flies = f": `{resume}` flies {'what is missing' if lacking else 'them'}{when}" if resume else ""
         notes.append(f"{', '.join(parts)}{flies}")
     return [*notes, *unflown_steps(ended)]
 
