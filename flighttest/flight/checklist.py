@@ -42,7 +42,7 @@ def checklist(plan: Plan, seen: Situation, waived: tuple[str, ...]) -> str:
         ("battery", f"{voltage}, lands at {plan.limits.voltage_min_v:.1f} V"),
         ("fence", f"{'on' if fence else 'off'}{_fence(seen, zone.fence) if fence else ''}"),
         ("pilot", f"ready, throttle {_stick(seen)}; transmitter {_heard(seen)}"),
-        ("stop", "the mode switch takes over; Ctrl-C lands, Ctrl-C twice: safe mode"),
+        ("stop", "mode switch takes over; Ctrl-C lands, twice before LAND: safe mode"),
     ]
     if waived:
         rows.append(("waived", ", ".join(waived)))

@@ -105,7 +105,7 @@ class FlightProgress:
     alarms: int = 0
     place_m: tuple[float, float] | None = None
     zone_m: tuple[tuple[float, float], tuple[float, float]] | None = None
-    how_to_stop: str = "Ctrl-C lands; Ctrl-C twice leaves it in its safe mode; the mode switch always takes over"
+    how_to_stop: str = "Ctrl-C lands; twice, before LAND, leaves it in its safe mode; the mode switch always takes over"
 
     def __str__(self) -> str:
         silent = max(self.silence_s, self.uplink_silence_s)

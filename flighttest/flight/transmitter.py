@@ -6,7 +6,7 @@ from bisect import bisect_right
 
 from flighttest.mavlink.dialect import Message, dialect
 
-LOST = "the pilot's transmitter is not received any more: the mode switch has no effect (stop with Ctrl-C: it lands)"
+LOST = "the pilot's transmitter is not received any more: the mode switch has no effect (while this program flies it, Ctrl-C lands it)"
 BACK = "the pilot's transmitter is received again"
 POSITIONS_US = (1231, 1361, 1491, 1621, 1750)
 """Pulse lengths, us, at which the second to the sixth position of a mode switch begin (ArduPilot, RC_Channel::read_6pos_switch)."""

@@ -33,7 +33,7 @@ def test_the_checklist_names_what_the_operator_answers_for(run_dir: Path) -> Non
         "fence",
         "pilot",
         "waived   fence",
-        "Ctrl-C twice",
+        "Ctrl-C lands, twice before LAND",
     ):
         assert words in text, words
     assert max(map(len, text.splitlines())) <= 80

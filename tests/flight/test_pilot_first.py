@@ -151,7 +151,7 @@ def test_a_request_of_which_nothing_is_heard_is_repeated_after_two_seconds(waite
 
 
 @pytest.mark.parametrize("stopped", [True, False])
-def test_a_flight_that_lacks_steps_lacks_them_whoever_lands(stopped: bool, run_dir: Path) -> None:
+def test_a_flight_that_lacks_steps_lacks_them_when_a_pilot_lands(stopped: bool, run_dir: Path) -> None:
     """Ctrl-C after the first step, and the pilot took over while it landed: it was called complete, with exit code 0."""
     link = FaultyLink(options())
     ended: list[float] = []
@@ -175,3 +175,19 @@ def test_a_flight_that_lacks_steps_lacks_them_whoever_lands(stopped: bool, run_d
     assert result.left is FlightState.WITH_PILOT
     assert result.outcome is (FlightOutcome.OPERATOR_STOP if stopped else FlightOutcome.LEFT_TO_PILOT)
     assert result.as_planned is not stopped
+
+
+def test_a_mode_of_others_is_not_called_the_pilots(run_dir: Path) -> None:
+    """LAND by another station, a failsafe or the fence: a pilot may not be flying it, and Ctrl-C lands nothing any more."""
+    link = FaultyLink(options())
+    alarms: list[str] = []
+
+    def station(message: object, _t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            link.sim.vehicle.set_mode(int(CopterMode.LAND))
+
+    link.hook = station
+    fly(make_plan(), "sim", run_dir, transport=link, on_progress=lambda p: alarms.append(p.alarm))
+    [text] = {a for a in alarms if "nothing is sent" in a}
+    assert text.startswith("in LAND (by the pilot, a failsafe, the fence or a station)")
+    assert text.endswith("PILOT, take over with the mode switch")

@@ -153,7 +153,7 @@ class FlightControl:
         if self.mode_switch.moved(message, t_s) and not self._transmitter.lost:
             # Also into the mode that the vehicle is in by a request of ours, which HEARTBEAT cannot show.
             self._unconfirmed = Unconfirmed(Event.FOREIGN_MODE, self.vehicle.mode, t_s, self.session.overtaken)
-            self._decide(t_s)
+            self._decide(t_s, by_switch=True)
             return
         if message.get_type() == "PARAM_VALUE":
             text = self.external_changes.look(message.param_id, float(message.param_value))
@@ -169,7 +169,8 @@ class FlightControl:
         if self.machine.state is FlightState.NOT_ARMED and armed:
             self.machine.on(Event.ARMED)
             self.alarm(f"the vehicle is armed in {mode_name(mode)} by a request that was under way at the take-over")
-        if self.machine.state is not FlightState.WITH_PILOT or mode not in self.session.mode_requests.open:
+        late = mode in self.session.mode_requests.open and mode != self._mode
+        if self.machine.state is not FlightState.WITH_PILOT or not late:
             return
         self.machine.on(Event.OVERRULED)
         text = f"the vehicle is in {mode_name(mode)} by a request that was under way at the take-over: move the mode switch again"
@@ -195,8 +196,8 @@ class FlightControl:
         self._unconfirmed, self.session.held = None, False
         self._mode, self._was_armed = mode, armed
 
-    def _decide(self, t_s: float) -> None:
-        """The pilot has the vehicle, or it is disarmed."""
+    def _decide(self, t_s: float, *, by_switch: bool = False) -> None:
+        """Somebody else changed the mode, or the vehicle is disarmed."""
         assert self._unconfirmed is not None
         shown, self._unconfirmed, self.session.held = self._unconfirmed, None, False
         if self.machine.state is FlightState.ARMING and (self._was_armed or self.vehicle.armed):
@@ -208,7 +209,11 @@ class FlightControl:
         elif shown.event is Event.FOREIGN_MODE:
             self.session.port.mute()
             self.recorder.event("take_over", mode_name(shown.mode), t_s, {"mode": shown.mode})
-            self.alarm(f"the pilot has the vehicle ({mode_name(shown.mode)}): nothing is sent any more")
+            who = "the pilot moved the mode switch" if by_switch else "by the pilot, a failsafe, the fence or a station"
+            self._mode = shown.mode
+            self.alarm(
+                f"in {mode_name(shown.mode)} ({who}): nothing is sent any more; PILOT, take over with the mode switch"
+            )
         elif not self._landing:
             self.recorder.event("note", "disarmed in flight", t_s)
         self.on(shown.event)

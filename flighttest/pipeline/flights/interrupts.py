@@ -8,14 +8,17 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-STOPPING = "Ctrl-C: stopping; a vehicle in the air is made safe and lands (again: it is left in its safe mode at once)"
-LEAVING = "Ctrl-C again: no step is flown any more; take a vehicle in the air over with the mode switch"
+STOPPING = (
+    "Ctrl-C: stopping; a vehicle in the air is made safe and lands (again, before LAND: it stays in its safe mode)"
+)
+LEAVING = "Ctrl-C again: one that lands goes on landing; take any other in the air over with the mode switch"
 _ANEW = "\r\x1b[2K"  # to the beginning of the terminal's line, and erase it
 
 
 @contextmanager
 def counted_interrupts() -> Iterator[Callable[[], int]]:
-    """While this is open, Ctrl-C is counted instead of raised: once lands, twice leaves a vehicle in the air in its safe mode. A closed
+    """While this is open, Ctrl-C is counted instead of raised: once lands, twice leaves a vehicle in the air in its safe mode unless it
+    lands already. A closed
     terminal or a shutdown lands."""
     presses = 0
 
