@@ -18,7 +18,7 @@ from flighttest.link.onboard.fence import polygon
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import dialect, parser
 from flighttest.pipeline.store.resuming import fence_behind, left_behind
-from flighttest.recording.store import MANIFEST_NAME
+from flighttest.recording.store import MANIFEST_NAME, open_run, read_manifest
 from tests.flight.faulty import GATE, GOOD, FaultyLink, fly, make_plan, options
 
 SET = {"GUID_OPTIONS": 0.0, "GUID_TIMEOUT": 3.0}
@@ -90,6 +90,8 @@ def test_a_vehicle_that_is_left_in_the_air_is_not_sent_a_parameter(run_dir: Path
     assert result.left is FlightState.IN_ABORT_MODE
     assert len(began) == 1, "no parameter is set"
     assert set(SET) <= set(result.parameters_left)
+    assert set(SET) <= set(read_manifest(run_dir)["parameters_left"])
+    assert open_run(run_dir).has("roll_rad")
 
 
 def test_after_a_take_over_it_is_said_what_stays_set(run_dir: Path) -> None:

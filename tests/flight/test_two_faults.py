@@ -17,7 +17,7 @@ from flighttest.link.port import MavlinkPort
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import dialect, parser
 from flighttest.plan import AttitudeTarget, Plan
-from flighttest.recording.store import open_run, read_manifest
+from flighttest.recording.store import read_manifest
 from tests.flight.faulty import LIMITS, FaultyLink, fly, make_leg, make_plan, options
 
 _IN_PAIRS = 3
@@ -65,28 +65,6 @@ def test_what_else_is_aboard_is_not_the_autopilot(run_dir: Path) -> None:
     link.hook = aboard
     result = fly(make_plan(), "sim", run_dir, transport=link)
     assert result.outcome is FlightOutcome.COMPLETED
-
-
-def test_a_pilot_who_takes_a_vehicle_released_at_once_ends_the_restoring(run_dir: Path) -> None:
-    link = FaultyLink(options())
-    began: list[float] = []
-    switched: list[float] = []
-
-    def hook(message: object, t_s: float) -> None:
-        kind = message.get_type()  # type: ignore[attr-defined]
-        if kind == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
-            began.append(t_s)
-        elif kind == "PARAM_SET" and began and not switched:
-            switched.append(t_s)
-            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
-
-    link.hook = hook
-    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: 2 if began else 0)
-    assert result.outcome is FlightOutcome.OPERATOR_ABORT
-    assert max(t for t, _ in link.sent) <= switched[0] + 0.15
-    assert result.parameters_left
-    assert read_manifest(run_dir)["parameters_left"]
-    assert open_run(run_dir).has("roll_rad")
 
 
 @pytest.mark.parametrize("by", ["guided", "attitude"])
