@@ -6,7 +6,16 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-__all__ = ["COMPONENT_AUTOPILOT", "Message", "dialect", "firmware_version", "is_armed", "is_vehicle", "parser"]
+__all__ = [
+    "COMPONENT_AUTOPILOT",
+    "Message",
+    "dialect",
+    "firmware_version",
+    "is_armed",
+    "is_vehicle",
+    "is_warning",
+    "parser",
+]
 
 Message = Any
 """One decoded MAVLink message, as pymavlink makes them: fields are attributes, `get_type()` names it."""
@@ -29,6 +38,12 @@ def parser(system: int, component: int) -> Any:
 def is_vehicle(heartbeat: Message) -> bool:
     """Whether a HEARTBEAT comes from an autopilot, not from a ground station, an antenna tracker, a gimbal or a companion computer."""
     return bool(heartbeat.autopilot != dialect.MAV_AUTOPILOT_INVALID and heartbeat.type not in _NO_VEHICLE)
+
+
+def is_warning(statustext: Message) -> bool:
+    """Whether a STATUSTEXT is a warning, or about a fence or failsafe: a breach of the fence is a notice in ArduCopter."""
+    about = statustext.text.lower()
+    return statustext.severity <= dialect.MAV_SEVERITY_WARNING or "fence" in about or "failsafe" in about
 
 
 def is_armed(heartbeat: Message) -> bool:

@@ -53,8 +53,9 @@ def test_ctrl_c_at_the_question_arms_nothing(run_dir: Path) -> None:
     assert not link.sim.vehicle.armed
 
 
-def test_what_the_vehicle_warns_of_and_an_abort_are_reported_at_once(run_dir: Path) -> None:
-    """A lost transmitter is a STATUSTEXT: it is not on any stream."""
+@pytest.mark.parametrize(("text", "severity"), [("Radio Failsafe", 4), ("Max Alt fence breached", 5)])
+def test_what_the_vehicle_warns_of_and_an_abort_are_reported_at_once(run_dir: Path, text: str, severity: int) -> None:
+    """A lost transmitter is a STATUSTEXT, as a breach of the fence is, of severity 5: neither is on any stream."""
     link = FaultyLink(options())
     reported: list[tuple[float, str]] = []
     warned: list[float] = []
@@ -62,7 +63,7 @@ def test_what_the_vehicle_warns_of_and_an_abort_are_reported_at_once(run_dir: Pa
     def warn(message: object, now: float) -> None:
         if not warned and message.get_type() == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
             warned.append(now)
-            link.sim.vehicle.say("Radio Failsafe", 4)
+            link.sim.vehicle.say(text, severity)
 
     link.hook = warn
     result = fly(
@@ -74,6 +75,6 @@ def test_what_the_vehicle_warns_of_and_an_abort_are_reported_at_once(run_dir: Pa
         on_progress=lambda p: reported.append((p.t_s, p.alarm)) if p.alarm else None,
     )
     assert result.outcome is FlightOutcome.COMPLETED
-    t_s, text = reported[0]
-    assert "Radio Failsafe" in text
+    t_s, alarm = reported[0]
+    assert text in alarm
     assert t_s - warned[0] < 0.2

@@ -23,7 +23,7 @@ from flighttest.link.session import Session
 from flighttest.link.states import BROKEN, LinkState
 from flighttest.link.streams import StreamRates
 from flighttest.mavlink import CopterMode, mode_name
-from flighttest.mavlink.dialect import Message, dialect, is_armed
+from flighttest.mavlink.dialect import Message, is_armed, is_warning
 from flighttest.plan import AttitudeTarget
 
 PROGRESS_EVERY_S = 0.25
@@ -159,8 +159,8 @@ class FlightControl:
             text = self.external_changes.look(message.param_id, float(message.param_value))
             if text:
                 self.recorder.event("note", text, t_s)
-        if message.get_type() == "STATUSTEXT" and message.severity <= dialect.MAV_SEVERITY_WARNING:
-            self.alarm(f"message of the vehicle: {message.text.strip()}")  # a lost transmitter, a failsafe, a fence
+        if message.get_type() == "STATUSTEXT" and is_warning(message):
+            self.alarm(f"message of the vehicle: {message.text.strip()}")
         if message.get_type() == "HEARTBEAT":
             self._watch_mode(int(message.custom_mode), is_armed(message), t_s)
 
