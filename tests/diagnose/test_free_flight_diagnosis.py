@@ -182,17 +182,6 @@ def test_the_floor_of_what_was_not_used_is_that_of_the_better_model():
         assert rows["all"]["floor"] <= min(rows["all"]["rmse_before"], rows["all"]["rmse_after"])
 
 
-def test_of_as_many_channels_worse_as_better_the_larger_change_decides():
-    """Roll and pitch of a vehicle with its own controller, rad."""
-    pitch = {"rmse_before": 0.01037, "rmse_after": 0.00965, "floor": 0.00927, "gain_95": [0.00008, 0.0013]}
-    roll = {"rmse_before": 0.00882, "rmse_after": 0.01076, "floor": 0.00871, "gain_95": [-0.0034, -0.00035]}
-    assert "worse" in against_larger({"roll": {"all": roll}, "pitch": {"all": pitch}})
-    less = roll | {"rmse_after": 0.0089}
-    assert against_larger({"roll": {"all": less}, "pitch": {"all": pitch}}) == ""
-    unsure = roll | {"gain_95": [-0.0034, 0.0001]}
-    assert against_larger({"roll": {"all": unsure}, "pitch": {"all": pitch}}) == ""
-
-
 @pytest.mark.parametrize(
     ("gains", "against"),
     [
