@@ -174,6 +174,17 @@ def test_a_start_from_which_the_response_diverges_is_a_dropped_candidate(monkeyp
     assert found.values["omega_phi"] == pytest.approx(OMEGA, rel=0.01)
 
 
+def test_what_is_held_is_held_from_every_start(monkeypatch):
+    """Of a log of ArduPilot's simulator whose estimates were held, the usual values of all parameters were printed instead."""
+
+    def hurried(problem: Problem, start: object = None, **named: Any) -> object:
+        return solve(problem, start, **named | {"max_iterations": 1})
+
+    monkeypatch.setattr(optima, "solve", hurried)
+    found = fit(rolled((5.0, 12.0, 17.5, 30.0)), Model(), frozen={"omega_phi": 3.0})
+    assert found.values["omega_phi"] == 3.0
+
+
 def test_a_start_that_cannot_be_linearised_is_a_status(monkeypatch):
     problem = problem_of(rolled((5.0, 12.0, 17.5, 30.0)), Model())
     monkeypatch.setattr(Problem, "evaluate", blown_up(40.0))

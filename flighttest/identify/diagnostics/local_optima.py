@@ -219,8 +219,9 @@ def best_of_starts(
     first = solve(problem, start, robust=robust)
     if first.status.good:
         return _off_the_samples(problem, first, robust) if noise_was_estimated else first
+    held = {n: v for n, v in problem.values.items() if n not in (*problem.names, *problem.ties)}
     others = [nominal, {**first.values, **{n: v * 0.6 for n, v in problem.values.items() if n.startswith("T_d")}}]
-    found = [first] + [solve(problem, other, robust=robust) for other in others]
+    found = [first] + [solve(problem, {**other, **held}, robust=robust) for other in others]
     finite = [s for s in found if s.status is not FitStatus.DIVERGED]
     good = [s for s in finite if s.status.good] or finite or [finite_or_error(first)]
     return min(good, key=lambda solution: misfit(problem, solution))
