@@ -173,7 +173,8 @@ DEFECTS: tuple[Defect, ...] = (
     ),
     _one(
         "D23", "a vehicle that is armed while a command before it is refused ends the program with a traceback",
-        "flight/fly.py", "is FlightState.ARMING and (silent or self.vehicle.armed):", "is FlightState.ARMING and silent:",
+        "flight/execution/scheduler.py",
+        "is FlightState.ARMING and (silent or control.vehicle.armed):", "is FlightState.ARMING and silent:",
         "tests/flight/test_pilot_first.py::test_a_mode_that_is_refused_to_an_armed_vehicle_ends_in_an_outcome",
     ),
     _one(

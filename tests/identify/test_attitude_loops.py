@@ -145,12 +145,12 @@ def test_an_interrupt_while_the_loops_are_searched_keeps_the_translation(monkeyp
     assert [u.why for u in found.untestable] == [UNTRIED]
 
 
-def test_loops_are_estimated_by_prediction_errors_where_somebody_steered_and_all_of_a_flight_without_steps():
+def test_all_of_a_flight_is_estimated_by_prediction_errors_where_somebody_steered():
     windows = piloted(60.0, 0)
     step = replace(windows[3], kind="roll_step", cell={"amplitude_rad": 0.1})
     by_hand = replace(step, context=SegmentContext(by_hand=True))
     assert parts_by_prediction_errors(windows) == ALL
-    assert parts_by_prediction_errors([*windows[:3], by_hand, *windows[4:]]) == ALL[1:]
+    assert parts_by_prediction_errors([*windows[:3], by_hand, *windows[4:]]) == ALL
     assert parts_by_prediction_errors([*windows[:3], step, *windows[4:]]) == ()  # of a script
     assert parts_by_prediction_errors(windows[:10]) == ()
 
