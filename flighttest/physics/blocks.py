@@ -21,7 +21,7 @@ AXES = (("roll", ("roll_rad", "roll_rate_rad_s")), ("pitch", ("pitch_rad", "pitc
 _REFERENCES = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s")
 FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
 VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
-FELT = ("felt_x_m_s2", "felt_y_m_s2", "felt_z_m_s2")  # measured specific force, world
+MEASURED_FORCE = ("measured_f_x_m_s2", "measured_f_y_m_s2", "measured_f_z_m_s2")  # specific force, world
 TRIMMED = ("trimmed_u_m_s", "trimmed_v_m_s", "trimmed_w_m_s")  # `SegmentContext.trimmed_m_s`
 ACCELERATION = ("a_x_m_s2", "a_y_m_s2", "a_z_m_s2")
 TRANSLATION_OUTPUTS = (*FORCE, *VELOCITY, *ACCELERATION)
@@ -180,12 +180,12 @@ def measured_velocity_block(terms: Sequence[Term], params: Sequence[Param], cons
     Its states are a_t and those of terms; velocity and acceleration are exogenous signals, so that nothing but the lags and what the
     acceleration swings has a memory.
     """
-    p, e = _symbols([q.name for q in params]), _symbols([*EXOGENOUS, *VELOCITY, *FELT])
+    p, e = _symbols([q.name for q in params]), _symbols([*EXOGENOUS, *VELOCITY, *MEASURED_FORCE])
     own, initial, spread = _term_states(terms, "translation")
     x = _symbols(["a_t_m_s2"]) | own
     u = _symbols(["throttle"])
     s = measured_signals(e, p, constants)
-    s.v_world, s.felt_world = (ca.vertcat(*(e[name] for name in names)) for names in (VELOCITY, FELT))
+    s.v_world, s.measured_force = (ca.vertcat(*(e[name] for name in names)) for names in (VELOCITY, MEASURED_FORCE))
     s.a_t, s.throttle = x["a_t_m_s2"], u["throttle"]
     s.sigma_t = p["sigma_t"]
     rates = translation(terms, s, p, own, ca.SX.zeros(3))

@@ -122,7 +122,7 @@ class Signals:
     angular_acceleration: (3,) body; rotation: (3, 3) body to world; height_m: of the feet above ground; rotor_height: of the rotors above
     the feet, m; time_s: since take-off; a_t: thrust acceleration after the lag (before aero gain), a_t_total after it; command: commanded
     thrust acceleration K (U/U_n)^alpha T times motor gains; a_t_dot: rate of a_t so far (what THRUST_LAG maps); force: (3,)
-    specific force so far; felt_world: (3,) all of it as it was measured, world, None where it is not; v_dot_world: (3,) once all forces
+    specific force so far; measured_force: (3,) all of it as measured, world, None where it is not; v_dot_world: (3,) once all forces
     are known (MEASUREMENT only); target_roll/target_pitch: the attitude target (shaped where recorded, else the reference).
     roll_acceleration, pitch_acceleration, yaw_acceleration: second Euler derivatives and r_dot so far (what ANGULAR adds to).
     measured: what the sensors report so far, keys 'f' (3,) 'v' (3,) 'roll' 'pitch' 'r'. base: the body's own parameters by name.
@@ -162,7 +162,7 @@ class Signals:
     pitch_acceleration: Expr = 0.0
     yaw_acceleration: Expr = 0.0
     force: Expr = None
-    felt_world: Expr = None
+    measured_force: Expr = None
     g: Expr = G_M_S2
     measured: dict[str, Expr] = field(default_factory=dict)
     base: Mapping[str, Expr] = field(default_factory=dict)

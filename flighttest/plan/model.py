@@ -93,10 +93,9 @@ class CellPlan:
 class Plan:
     """Everything a scheduler needs: legs in flying order, limits, reset, rate. refusals: (leg id, sentence, remedy).
 
-    vehicle: its zone carries the script's own floor where it has one. reset: its place is inside zone,
-    margin and the script's heights. A leg that was refused is not among the legs. reaction_s: how
-    long the prior takes to answer a stop; the gate looks as far ahead. fenced: kinds of steps that with the link lost only a fence along
-    the zone would keep inside.
+    vehicle: its zone carries the script's own floor where it has one. reset: its place is inside zone, margin and the script's heights.
+    A leg that was refused is not among the legs. reaction_s: how long the prior takes to answer a stop; the gate looks as far ahead.
+    fenced: kinds of steps that with the link lost only a fence along the zone would keep inside.
     """
 
     script: Script

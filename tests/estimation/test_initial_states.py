@@ -31,8 +31,8 @@ def streams():
         for channel in NOISE:
             number = numbers[rows]
             n = number.size
-            begun = InitialStates(rng.standard_normal((n, 2)), number)
-            made.append(Stream(channel, 0, rng.standard_normal(n), rng.standard_normal((n, 3)), begun=begun))
+            initial = InitialStates(rng.standard_normal((n, 2)), number)
+            made.append(Stream(channel, 0, rng.standard_normal(n), rng.standard_normal((n, 3)), initial=initial))
     return made
 
 
@@ -42,8 +42,8 @@ def dense(streams):
     placed = []
     for s in streams:
         own = np.zeros((s.residual.size, 6))
-        for i, number in enumerate(s.begun.number):
-            own[i, 2 * number : 2 * number + 2] = s.begun.derivatives[i]
+        for i, number in enumerate(s.initial.number):
+            own[i, 2 * number : 2 * number + 2] = s.initial.derivatives[i]
         placed.append(own)
     w = block_diag(*white)
     r, c = np.concatenate([s.residual for s in streams]), np.concatenate([s.columns for s in streams])
@@ -78,10 +78,10 @@ def test_residuals_beside_predicted_states_lack_what_these_explain(streams):
     states = np.linalg.solve(n.T @ n + np.eye(6), n.T @ r)
     left = beside_initial_states(streams, NOISE)
     for before, after in zip(streams, left, strict=True):
-        own = states.reshape(3, 2)[before.begun.number]
-        explained = np.einsum("nk,nk->n", before.begun.derivatives, own)
+        own = states.reshape(3, 2)[before.initial.number]
+        explained = np.einsum("nk,nk->n", before.initial.derivatives, own)
         assert after.residual == pytest.approx(before.residual - explained, abs=1e-9)
-        assert not after.begun
+        assert not after.initial
 
 
 def test_equations_without_initial_states_are_left_as_they_are(streams):

@@ -117,6 +117,7 @@ def test_the_way_to_a_start_ends_where_control_is_lost(by: str, then: Callable[[
     assert result.left is FlightState.LANDED
     assert [leg.outcome for leg in result.legs] == [LegOutcome.FLOWN, LegOutcome.REFUSED]
     assert max(t for t, kind, _ in sent if kind.startswith("SET_")) < lost_s[0] + 10.0
+    assert CopterMode.BRAKE not in modes_of(sent), "it would lift what lies on the ground"
 
 
 def test_a_vehicle_that_tips_over_in_the_climb_is_landed_at_once(run_dir: Path) -> None:

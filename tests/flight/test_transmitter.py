@@ -81,10 +81,15 @@ def switch(pulse_us: int, count: int = 16) -> Message:
         ([(0.0, 1000), (0.2, 1300), (0.4, 1000), (0.6, 1300), (0.7, 1300)], None),  # it bounces
         ([(0.0, 1000), (0.2, 1100), (0.4, 1230)], None),  # within the first position
         ([(0.0, 1230), (0.2, 1231), (0.4, 1231)], 0.4),
+        ([(0.0, 1360), (0.2, 1361), (0.4, 1361)], 0.4),
+        ([(0.0, 1490), (0.2, 1491), (0.4, 1491)], 0.4),
+        ([(0.0, 1361), (0.2, 1490), (0.4, 1490)], None),
         ([(0.0, 1620), (0.2, 1621), (0.4, 1621)], 0.4),
         ([(0.0, 1749), (0.2, 1750), (0.4, 1750)], 0.4),
         ([(0.0, 1000), (0.2, 0), (0.4, 0), (0.6, 65535), (0.8, 65535)], None),
-        ([(0.0, 1000), (0.2, 800), (0.4, 800), (0.6, 2200), (0.8, 2200)], None),
+        ([(0.0, 1300), (0.2, 800), (0.4, 800), (0.6, 2200), (0.8, 2200)], None),
+        ([(0.0, 1300), (0.2, 801), (0.4, 801)], 0.4),
+        ([(0.0, 1300), (0.2, 2199), (0.4, 2199)], 0.4),
         ([(0.0, 0), (0.2, 1300), (0.4, 1300)], None),  # the first position seen is the one to start from
     ],
 )
@@ -120,8 +125,12 @@ def test_a_pilot_who_chooses_the_mode_that_is_held_already_has_taken_over(lost: 
 
     link.hook = look
     steep = make_leg("steep", lambda t: AttitudeTarget(t, 0.3 if t < 1.2 else 0.8, 0.0, 0.0, 0.18))
-    result = fly(make_plan(steep, make_leg("b")), "sim", run_dir, transport=link)
+    alarms: list[str] = []
+    result = fly(
+        make_plan(steep, make_leg("b")), "sim", run_dir, transport=link, on_progress=lambda p: alarms.append(p.alarm)
+    )
     assert asked
+    assert not any("move the mode switch again" in text for text in alarms), "the mode is the pilot's own"
     if lost:
         assert result.left is FlightState.LANDED
     else:

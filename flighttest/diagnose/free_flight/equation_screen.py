@@ -85,7 +85,7 @@ def screen(
     rows = block_rows(sum(float(np.ptp(s.t_s)) for s in flown), base.period_s)
     linear = [t for t in terms if t.amplitudes]
     # A state of unknown start needs a long lead (`motion_equations`), which the others are not to pay for.
-    alone = [t for t in linear if of_unknown_start(t)]
+    alone = [t for t in linear if has_unknown_initial_state(t)]
     together = [t for t in linear if t not in alone]
     nonlinear = [t for t in terms if not t.amplitudes]
     groups = [(_linear, together), *((_linear, [t]) for t in alone), (_nonlinear, nonlinear)]
@@ -94,19 +94,21 @@ def screen(
     def work(some: Sequence[tuple[ScoreTests, list[Term]]]) -> list[list[Screened]]:
         return [list(tests(flown, base, own, rows)) for tests, own in some]
 
-    best: dict[str, tuple[bool, Screened]] = {}
     signs = {t.id: {p.name: np.sign(usual_size(p)) for p in t.amplitudes if p.one_sided} for t in terms}
+
+    def rank(s: Screened) -> tuple[bool, float]:
+        """Settings whose coefficients physics does not allow come last."""
+        return any(s.coefficients.get(n, 0.0) * sign < 0.0 for n, sign in signs[s.term].items()), s.p_value
+
+    best: dict[str, Screened] = {}
     for found in chain(*side_by_side(work, jobs, [1.0] * len(jobs))):
-        # A setting that physics does not allow is none.
-        allowed = all(found.coefficients.get(n, 0.0) * sign >= 0.0 for n, sign in signs[found.term].items())
-        before = best.get(found.term, (False, None))
-        if before[1] is None or (not allowed, found.p_value) < (not before[0], before[1].p_value):
-            best[found.term] = allowed, found
-    return tuple(sorted((s for _, s in best.values()), key=lambda s: s.p_value))
+        if found.term not in best or rank(found) < rank(best[found.term]):
+            best[found.term] = found
+    return tuple(sorted(best.values(), key=lambda s: s.p_value))
 
 
-def of_unknown_start(term: Term) -> bool:
-    """Whether a term with linear coefficients has states that flights begin in, and nothing measured."""
+def has_unknown_initial_state(term: Term) -> bool:
+    """Whether a term with linear coefficients has states that no measurement shows as a flight begins."""
     return bool(term.amplitudes) and any(s.free for s in term.states) and term.id != LATENCY
 
 
@@ -125,8 +127,8 @@ def _linear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term], r
         wanted = [*base.estimated, *(p.name for t in asked for p in t.amplitudes)]
         with np.errstate(all="ignore"):
             streams, columns = equations.streams(values, wanted, base.per_flight)
-            if any(of_unknown_start(t) for t in asked):
-                # Where a term is not, nothing shows what its states began from: its columns, and theirs, are those of its usual size.
+            if any(has_unknown_initial_state(t) for t in asked):
+                # Where a term is not, its initial states have no effect: its columns, and theirs, are those of its usual size.
                 usual = {p.name: p.nominal for t in asked for p in t.amplitudes}
                 there, _ = equations.streams(values | usual, wanted, base.per_flight)
                 streams = [replace(t, residual=s.residual) for s, t in zip(streams, there, strict=True)]

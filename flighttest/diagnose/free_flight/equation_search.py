@@ -20,7 +20,7 @@ import numpy as np
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.answer import SearchSupport
-from flighttest.diagnose.free_flight.equation_screen import Screened, of_unknown_start, screen, settings
+from flighttest.diagnose.free_flight.equation_screen import Screened, has_unknown_initial_state, screen, settings
 from flighttest.diagnose.free_flight.estimates import (
     EDGE_OF_INTERVAL,
     ModelEstimates,
@@ -247,7 +247,7 @@ def _step(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term
         return True
     # A swing that lasts is in the noise of a model without it, where a score test does not see it.
     untried = (s for s in found.screened if s not in significant and s.term not in found.refused)
-    return _taken([s for s in untried if of_unknown_start(known[s.term])], found, asked, known)
+    return _taken([s for s in untried if has_unknown_initial_state(known[s.term])], found, asked, known)
 
 
 def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> bool:

@@ -42,7 +42,7 @@ class InitialStates:
         """Numbered behind so many others."""
         return replace(self, number=self.number + others)
 
-    def whitened(self, whiten: Callable[[FloatArray], FloatArray], reach: int) -> list[Along]:
+    def whitened(self, whiten: Callable[[FloatArray], FloatArray], reach: int) -> list[WhitenedInitialStates]:
         """Those of each number, by a filter along the rows that reaches so many rows further."""
         n, k = self.derivatives.shape
         first = np.flatnonzero(np.diff(self.number, prepend=-1))
@@ -54,11 +54,11 @@ class InitialStates:
         found = []
         for i, a in enumerate(first.tolist()):
             end = min(ends[i] + reach, ends[min(i + 1, len(ends) - 1)])
-            found.append(Along(int(self.number[a]), slice(a, end), made[a:end, i % 2]))
+            found.append(WhitenedInitialStates(int(self.number[a]), slice(a, end), made[a:end, i % 2]))
         return found
 
 
-class Along(NamedTuple):
+class WhitenedInitialStates(NamedTuple):
     """Whitened derivatives (m, k) by the initial states of one number, at these rows."""
 
     number: int
@@ -80,11 +80,13 @@ class PredictedStates:
         return np.asarray(self.states[np.searchsorted(self.numbers, number)])
 
 
-def predictions_of(streams: Sequence[tuple[Sequence[Along], FloatArray]]) -> PredictedStates:
+def predictions_of(streams: Sequence[tuple[Sequence[WhitenedInitialStates], FloatArray]]) -> PredictedStates:
     """Of the initial states in several equations, each with its whitened regressands (n, c). Neighbouring numbers alone overlap."""
     numbers = np.unique([one.number for some, _ in streams for one in some]).astype(np.intp)
     k = next((one.columns.shape[1] for some, _ in streams for one in some), 0)
     width = streams[0][1].shape[1] if streams else 0
+    if not numbers.size:
+        return PredictedStates(numbers, np.zeros((0, 0, width)), 0.0)
     place = {int(n): i * k for i, n in enumerate(numbers)}
     gram, right = np.zeros((2 * k, numbers.size * k)), np.zeros((numbers.size * k, width))  # lower diagonals
     gram[:1] = 1.0
@@ -94,12 +96,10 @@ def predictions_of(streams: Sequence[tuple[Sequence[Along], FloatArray]]) -> Pre
             right[at : at + k] += one.columns.T @ values[one.rows]
             _add(gram, at, at, one.columns.T @ one.columns)
             after = some[i + 1] if i + 1 < len(some) else one
-            if place[after.number] == at + k:
+            if place[after.number] == at + k:  # next to it: a filter reaches into its rows
                 both = slice(after.rows.start, min(one.rows.stop, after.rows.stop))
                 own, other = (s.columns[both.start - s.rows.start : both.stop - s.rows.start] for s in (one, after))
                 _add(gram, at, place[after.number], other.T @ own)
-    if not numbers.size:
-        return PredictedStates(numbers, np.zeros((0, 0, width)), 0.0)
     factor = cholesky_banded(gram, lower=True)
     states = cho_solve_banded((factor, True), right)
     return PredictedStates(numbers, states.reshape(numbers.size, k, width), float(2.0 * np.sum(np.log(factor[0]))))

@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.estimation.equation_error.autoregression import Autoregression, autoregression
-from flighttest.estimation.equation_error.initial_states import Along, InitialStates, PredictedStates, predictions_of
+from flighttest.estimation.equation_error.initial_states import (
+    InitialStates,
+    PredictedStates,
+    WhitenedInitialStates,
+    predictions_of,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -18,7 +23,7 @@ FloatArray = NDArray[np.float64]
 class Stream:
     """One equation over one stretch without gaps. residual: (n,) measured minus modelled; columns: (n, q) derivatives of the modelled
     by the parameters; group: what is left out together and judged as one sample (its flight); channel: what shares one noise; state (n, k):
-    what the equations may be wrong as a function of (`lack_of_fit`); begun: by the initial states that it began from, where they are
+    what the equations may be wrong as a function of (`lack_of_fit`); initial: by the initial states that it began from, where they are
     unknown."""
 
     channel: str
@@ -26,7 +31,7 @@ class Stream:
     residual: FloatArray
     columns: FloatArray
     state: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    begun: InitialStates = field(default_factory=InitialStates)
+    initial: InitialStates = field(default_factory=InitialStates)
 
 
 def noises(streams: Sequence[Stream]) -> dict[str, Autoregression]:
@@ -46,9 +51,11 @@ def whitened_rows(ar: Autoregression, s: Stream) -> tuple[FloatArray, FloatArray
 
 def predicted_states(
     streams: Sequence[Stream], noise: Mapping[str, Autoregression], whitened: Sequence[FloatArray]
-) -> tuple[PredictedStates, list[list[Along]]]:
+) -> tuple[PredictedStates, list[list[WhitenedInitialStates]]]:
     """Of the initial states by whitened regressands (n, c) of each stream; and their own whitened derivatives."""
-    along = [s.begun.whitened(noise[s.channel].whitened, noise[s.channel].order) if s.begun else [] for s in streams]
+    along = [
+        s.initial.whitened(noise[s.channel].whitened, noise[s.channel].order) if s.initial else [] for s in streams
+    ]
     return predictions_of([*zip(along, whitened, strict=True)]), along
 
 
@@ -66,15 +73,15 @@ def misfit_of(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) ->
 
 def beside_initial_states(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> list[Stream]:
     """Streams with their initial states as predicted from them: residuals and columns without what these explain."""
-    if not any(s.begun for s in streams):
+    if not any(s.initial for s in streams):
         return [*streams]
     made = [np.column_stack(whitened_rows(noise[s.channel], s)) for s in streams]
     states, _ = predicted_states(streams, noise, made)
     found = []
     for s in streams:
-        explained = np.einsum("nk,nkc->nc", s.begun.derivatives, states.of(s.begun.number)) if s.begun else 0.0
+        explained = np.einsum("nk,nkc->nc", s.initial.derivatives, states.of(s.initial.number)) if s.initial else 0.0
         left = np.column_stack([s.residual, s.columns]) - explained
-        found.append(replace(s, residual=left[:, 0], columns=left[:, 1:], begun=InitialStates()))
+        found.append(replace(s, residual=left[:, 0], columns=left[:, 1:], initial=InitialStates()))
     return found
 
 

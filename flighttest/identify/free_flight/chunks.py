@@ -42,7 +42,7 @@ class _Piece(NamedTuple):
 
 class Chunks:
     """Each piece of a stretch has a lead of its own before it. There are as many as fill the lanes of the kernel, in which sixteen take no
-    longer than the longest of them. begins: how many initial states they have (`estimation.equation_error.initial_states`)."""
+    longer than the longest of them. count_initial: how many initial states they have (`estimation.equation_error.initial_states`)."""
 
     def __init__(
         self,
@@ -82,8 +82,8 @@ class Chunks:
         # Pieces that are integrated from the same sample begin in the same states.
         begins = dict.fromkeys((k, p.first) for k, some in enumerate(cut) for p in some)
         number = {one: i for i, one in enumerate(begins)}
-        self.begins = len(begins)
-        self._begun = [
+        self.count_initial = len(begins)
+        self._number = [
             np.concatenate([np.full(p.at.size, number[k, p.first]) for p in some]) for k, some in enumerate(cut)
         ]
         self._spread = {n: block.spread[n] for n in block.free_states if n in block.spread}
@@ -111,9 +111,9 @@ class Chunks:
             found.append((y[rows], slopes))
         return found
 
-    def states(self, k: int, slopes: FloatArray, rows: IndexArray | slice) -> InitialStates:
+    def initial_states(self, k: int, slopes: FloatArray, rows: IndexArray | slice) -> InitialStates:
         """What the samples `rows` of those kept of a stretch began from, with derivatives (n, k) there."""
-        return InitialStates(slopes, self._begun[k][rows]) if slopes.shape[1] else InitialStates()
+        return InitialStates(slopes, self._number[k][rows]) if slopes.shape[1] else InitialStates()
 
     def along(self, k: int, values: FloatArray) -> FloatArray:
         """Of values (n, ...) of a stretch those at the samples kept."""

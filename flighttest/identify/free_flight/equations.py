@@ -51,15 +51,15 @@ class Equations:
         own = [n for n in names if n in per_flight]
         columns = (*shared, *(f"{n}@{flight}" for flight in self.flights for n in own))
         found: list[Stream] = []
-        begun = 0  # initial states so far
+        before = 0  # initial states so far
         for g, flight in enumerate(self.flights):
             mine = {n: values.get(f"{n}@{flight}", values[n]) for n in self.model.names}
             left = []
             for equation in self._of(flight):
                 left += [
-                    one._replace(begun=one.begun.after(begun)) for one in equation.evaluated(mine, [*shared, *own])
+                    one._replace(initial=one.initial.after(before)) for one in equation.evaluated(mine, [*shared, *own])
                 ]
-                begun += equation.chunks.begins
+                before += equation.chunks.count_initial
             if self.part != "translation":
                 left.sort(key=lambda one: one.channel)  # the same order whether a term couples the axes or not
             for channel, residual, slopes, state, states in left:

@@ -70,8 +70,8 @@ class LoopEquations:
                     own, along, of = (_means(one[seen[a:b]], many) for one in (residual[:, c], slopes[:, c], state))
                     if len(own):
                         along, first = along - along.mean(axis=0), seen[a:b][: len(own) * many : many]
-                        begun = self.chunks.states(k, along[:, len(names) :], first)
-                        yield Residual(channel, own - own.mean(), along[:, : len(names)], of, begun)
+                        initial = self.chunks.initial_states(k, along[:, len(names) :], first)
+                        yield Residual(channel, own - own.mean(), along[:, : len(names)], of, initial)
 
 
 def _means(values: FloatArray, many: int) -> FloatArray:

@@ -68,14 +68,14 @@ def _joined(windows: Sequence[Segment]) -> Segment:
 
 class Residual(NamedTuple):
     """What one equation leaves over a stretch. channel; residual (n,) measured less modelled; slopes (n, q) derivatives of the modelled by
-    the parameters asked for; state (n, k) that the equation may be wrong as a function of (`estimation.equation_error.lack_of_fit`); begun:
-    by the initial states of its pieces, where they are unknown."""
+    the parameters asked for; state (n, k) that the equation may be wrong as a function of (`estimation.equation_error.lack_of_fit`);
+    initial: derivatives by initial states that nothing measured."""
 
     channel: str
     residual: FloatArray
     slopes: FloatArray
     state: FloatArray
-    begun: InitialStates = InitialStates()
+    initial: InitialStates = InitialStates()
 
 
 def sampling_period_s(flown: Sequence[Segment]) -> float:

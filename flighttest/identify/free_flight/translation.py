@@ -16,7 +16,7 @@ from flighttest.estimation.responses import attitude_angles, zero_order_hold
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.identify.free_flight.chunks import Chunks
 from flighttest.identify.free_flight.stretches import Residual, unbroken
-from flighttest.physics.blocks import ACCELERATION, FELT, FORCE, VELOCITY
+from flighttest.physics.blocks import ACCELERATION, FORCE, MEASURED_FORCE, VELOCITY
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -60,15 +60,15 @@ def _measured(s: Segment) -> dict[str, FloatArray]:
     specific force, from the accelerometer, else from the velocities."""
     slopes: dict[str, FloatArray] = {}
     if all(n in s.y and np.isfinite(s.y[n]).any() for n in FORCE):
-        felt = np.einsum(
+        force = np.einsum(
             "nij,nj->ni", rotation_from_euler(attitude_angles(s)), np.stack([s.y[n] for n in FORCE], axis=1)
         )
-        slopes = dict(zip(VELOCITY, (felt - [0.0, 0.0, G_M_S2]).T, strict=True))
+        slopes = dict(zip(VELOCITY, (force - [0.0, 0.0, G_M_S2]).T, strict=True))
     else:
-        felt = np.stack([np.gradient(filled(s.t_s, s.y[n], 0.0), s.t_s) for n in VELOCITY], axis=1)
-        felt[:, 2] += G_M_S2
+        force = np.stack([np.gradient(filled(s.t_s, s.y[n], 0.0), s.t_s) for n in VELOCITY], axis=1)
+        force[:, 2] += G_M_S2
     velocity = {n: predicted(s.t_s, s.y[n], slopes.get(n)) for n in VELOCITY}
-    return velocity | dict(zip(FELT, felt.T, strict=True))
+    return velocity | dict(zip(MEASURED_FORCE, force.T, strict=True))
 
 
 def _state(s: Segment, velocity: Mapping[str, FloatArray]) -> FloatArray:
@@ -119,8 +119,8 @@ class TranslationEquations:
             for c, channel in enumerate(self.outputs):
                 good = np.isfinite(residual[:, c]) & np.isfinite(slopes[:, c]).all(axis=1)
                 for a, b in unbroken(t, good):
-                    begun = self.chunks.states(k, slopes[a:b, c, len(names) :], slice(a + shift, b + shift))
-                    yield Residual(channel, residual[a:b, c], slopes[a:b, c, : len(names)], state[a:b], begun)
+                    initial = self.chunks.initial_states(k, slopes[a:b, c, len(names) :], slice(a + shift, b + shift))
+                    yield Residual(channel, residual[a:b, c], slopes[a:b, c, : len(names)], state[a:b], initial)
 
 
 def _late(

@@ -11,8 +11,8 @@ def _payload(s: Signals, p: Values, x: Values) -> Contribution:
     """A point mass on a massless cable; n, from the vehicle to the load, turns as both of its ends are pulled.
 
     n is a point of a sphere, seen from its top: the coordinates a are about the shares of the cable that point north and west while it
-    hangs, 2 where it is level, and without end only where the load is above the vehicle. The vehicle's acceleration swings it: as measured,
-    where the equations of motion are at measured velocities, where tension over the load's mass is l |n_dot|^2 + n (d - felt).
+    hangs, 2 where it is level, and without end only where the load is above the vehicle. What swings it is the specific force of the
+    vehicle, pull included: as measured, where the equations of motion are at measured velocities, else the model's.
     """
     ratio, length = p["payload_ratio"], p["cable_m"]
     f = s.rotation @ s.force
@@ -26,12 +26,14 @@ def _payload(s: Signals, p: Values, x: Values) -> Contribution:
     drag: Expr = -2 * p["swing_damping"] * ca.sqrt(s.g * length) * n_dot
     # Tension that keeps the length, per mass of the load; a cable does not push.
     tension = ca.fmax((length * ca.sumsqr(n_dot) + ca.dot(n, drag - f)) / (1 + ratio), 0)
-    felt = f + ratio * tension * n if s.felt_world is None else s.felt_world
-    pulled = tension if s.felt_world is None else ca.fmax(length * ca.sumsqr(n_dot) + ca.dot(n, drag - felt), 0)
+    pivot: Expr = f + ratio * tension * n if s.measured_force is None else s.measured_force
+    pulled = ca.fmax(
+        length * ca.sumsqr(n_dot) + ca.dot(n, drag - pivot), 0
+    )  # the tension, where the pivot is the model's
     # What of the acceleration of n is left beside that of coordinates that keep their rates, back in coordinates.
     share_ddot = -2 * share * share_dot * slope - share**2 * ca.sumsqr(a_dot) / 2
     kept: Expr = ca.vertcat(2 * share_dot * a_dot + share_ddot * a, -2 * share_ddot)
-    left: Expr = (drag - felt - pulled * n) / length - kept
+    left: Expr = (drag - pivot - pulled * n) / length - kept
     a_ddot = left[:2] / share + a * (left[2] - ca.dot(a, left[:2]) / 2)
     return Contribution(
         s.rotation.T @ (ratio * tension * n),

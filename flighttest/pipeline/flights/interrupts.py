@@ -18,8 +18,7 @@ _ANEW = "\r\x1b[2K"  # to the beginning of the terminal's line, and erase it
 @contextmanager
 def counted_interrupts() -> Iterator[Callable[[], int]]:
     """While this is open, Ctrl-C is counted instead of raised: once lands, twice leaves a vehicle in the air in its safe mode unless it
-    lands already. A closed
-    terminal or a shutdown lands."""
+    lands already. A closed terminal or a shutdown lands."""
     presses = 0
 
     def count(_signal: int, _frame: object) -> None:
