@@ -3,11 +3,14 @@
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
+from flighttest.diagnose.answer import SearchSupport
 from flighttest.diagnose.free_flight import equation_search
 from flighttest.diagnose.free_flight.equation_screen import screen
 from flighttest.diagnose.free_flight.equation_search import find_terms
+from flighttest.diagnose.free_flight.estimates import ModelEstimates
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
@@ -38,9 +41,19 @@ def test_a_load_that_no_score_test_shows_is_estimated_once_nothing_else_is_left(
         return tuple(replace(s, p_value=0.5, nats=0.0) for s in screen(*args))
 
     monkeypatch.setattr(equation_search, "screen", blind)
-    found = find_terms(parted(ratio, 3), ALONE, (LOAD, catalogue()["attitude_offset"]))
+    found = find_terms(parted(ratio, 7), ALONE, (LOAD, catalogue()["attitude_offset"]))
     assert list(found.named) == named
     assert ("slung_payload" in found.refused) is not bool(named)
+    if named:
+        assert found.final.values["payload_ratio"] == pytest.approx(ratio, abs=0.02)
+
+
+def test_residuals_of_an_estimate_are_about_the_states_that_were_predicted():
+    asked = ModelEstimates(parted(0.15, 7), "translation", {}, (), SearchSupport())
+    found = asked.estimate(ALONE.with_terms(LOAD), {"cable_m": 0.8})
+    for channel, rms in found.rms.items():
+        left = np.concatenate([s.residual for s in asked.streams(found) if s.channel == channel])
+        assert float(np.sqrt(np.mean(left**2))) == pytest.approx(rms, rel=1e-6)
 
 
 def test_of_the_settings_of_a_term_those_that_physics_does_not_allow_come_last():

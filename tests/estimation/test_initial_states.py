@@ -22,8 +22,15 @@ def whitening(noise, n):
     return noise.whitened(np.eye(n))
 
 
+@pytest.fixture(params=[0.0, 0.7], ids=["about rest", "about other states"])
+def about(request):
+    """(3, 2) initial states that the equations are linear about."""
+    return request.param * np.random.default_rng(4).standard_normal((3, 2))
+
+
 @pytest.fixture
-def streams():
+def streams(about):
+    """What they leave there: of one truth, whatever they are linear about."""
     rng = np.random.default_rng(3)
     numbers = np.repeat([0, 1, 2], SIZES)
     made = []
@@ -31,13 +38,14 @@ def streams():
         for channel in NOISE:
             number = numbers[rows]
             n = number.size
-            initial = InitialStates(rng.standard_normal((n, 2)), number)
-            made.append(Stream(channel, 0, rng.standard_normal(n), rng.standard_normal((n, 3)), initial=initial))
+            initial = InitialStates(rng.standard_normal((n, 2)), number, about[number])
+            left = rng.standard_normal(n) - np.einsum("nk,nk->n", initial.derivatives, about[number])
+            made.append(Stream(channel, 0, left, rng.standard_normal((n, 3)), initial=initial))
     return made
 
 
 def dense(streams):
-    """Residual, columns, whitened derivatives by every initial state, all stacked."""
+    """Residual about rest, columns, whitened derivatives by every initial state, all stacked."""
     white = [whitening(NOISE[s.channel], s.residual.size) for s in streams]
     placed = []
     for s in streams:
@@ -46,7 +54,8 @@ def dense(streams):
             own[i, 2 * number : 2 * number + 2] = s.initial.derivatives[i]
         placed.append(own)
     w = block_diag(*white)
-    r, c = np.concatenate([s.residual for s in streams]), np.concatenate([s.columns for s in streams])
+    at_rest = [s.residual + np.einsum("nk,nk->n", s.initial.derivatives, s.initial.values) for s in streams]
+    r, c = np.concatenate(at_rest), np.concatenate([s.columns for s in streams])
     return w @ r, w @ c, w @ np.concatenate(placed)
 
 
@@ -78,7 +87,7 @@ def test_residuals_beside_predicted_states_lack_what_these_explain(streams):
     states = np.linalg.solve(n.T @ n + np.eye(6), n.T @ r)
     left = beside_initial_states(streams, NOISE)
     for before, after in zip(streams, left, strict=True):
-        own = states.reshape(3, 2)[before.initial.number]
+        own = states.reshape(3, 2)[before.initial.number] - before.initial.values
         explained = np.einsum("nk,nk->n", before.initial.derivatives, own)
         assert after.residual == pytest.approx(before.residual - explained, abs=1e-9)
         assert not after.initial

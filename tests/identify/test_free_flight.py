@@ -107,16 +107,16 @@ def test_adjoining_windows_are_one_stretch():
 
 @pytest.mark.parametrize("accelerometer", [True, False])
 def test_a_load_that_swings_as_stretches_begin_is_found_as_it_is(accelerometer):
+    """With a load at rest as each stretch begins its cable was 0.69 m, damped by 0.06; with small motion about rest the mass 0.10."""
     load = SlungLoad(1.0, {"payload_ratio": 0.15, "cable_m": 0.8, "swing_damping": 0.02})
-    windows = flight(120.0, 3, accelerometer=accelerometer, load=load)
+    windows = flight(90.0, 7, accelerometer=accelerometer, load=load)
     parted = stretches([w for k, w in enumerate(windows) if k % 5])
-    assert len(parted) > 8
+    assert len(parted) == 7
     model = Model(("body", "linear_drag", "slung_payload"), attitude_loops=False)
     found = estimate(parted, model, start={"cable_m": 1.0})
-    # With a load at rest as each stretch begins: cables of 0.69 m, damped by 0.06.
-    assert found.values["payload_ratio"] == pytest.approx(0.15, abs=0.03)
+    assert found.values["payload_ratio"] == pytest.approx(0.15, abs=0.015)
     assert found.values["cable_m"] == pytest.approx(0.8, abs=0.02)
-    assert found.values["swing_damping"] == pytest.approx(0.02, abs=0.01)
+    assert found.values["swing_damping"] == pytest.approx(0.02, abs=0.02)
 
 
 @pytest.mark.parametrize("accelerometer", [True, False])

@@ -126,11 +126,11 @@ def _linear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term], r
         values |= {n: v for t in terms for n, v in grids[t.id][k % len(grids[t.id])].items()}
         wanted = [*base.estimated, *(p.name for t in asked for p in t.amplitudes)]
         with np.errstate(all="ignore"):
-            streams, columns = equations.streams(values, wanted, base.per_flight)
+            streams, columns = equations.streams(values, wanted, base.per_flight, base.initial)
             if any(has_unknown_initial_state(t) for t in asked):
                 # Where a term is not, its initial states have no effect: its columns, and theirs, are those of its usual size.
                 usual = {p.name: p.nominal for t in asked for p in t.amplitudes}
-                there, _ = equations.streams(values | usual, wanted, base.per_flight)
+                there, _ = equations.streams(values | usual, wanted, base.per_flight, base.initial)
                 streams = [replace(t, residual=s.residual) for s, t in zip(streams, there, strict=True)]
         others = [columns.index(n) for n in base.names if n in columns]
         for t in asked:
@@ -147,14 +147,16 @@ def _nonlinear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term]
     if not terms:
         return
     with np.errstate(all="ignore"):
-        plain, columns = Equations(base.model, flown, base.part).streams(base.values, base.estimated, base.per_flight)
+        plain, columns = Equations(base.model, flown, base.part).streams(
+            base.values, base.estimated, base.per_flight, base.initial
+        )
     others = [columns.index(n) for n in base.names]
     for t in terms:
         equations = Equations(base.model.with_terms(t), flown, base.part)
         for setting in settings(t, flown):
             values = {**equations.model.start(), **base.values, **setting}
             with np.errstate(all="ignore"):
-                changed, _ = equations.streams(values, [], base.per_flight)
+                changed, _ = equations.streams(values, [], base.per_flight, base.initial)
             if [s.residual.size for s in changed] != [s.residual.size for s in plain]:
                 continue  # not finite somewhere
             only = [

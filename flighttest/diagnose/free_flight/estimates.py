@@ -102,7 +102,7 @@ class ModelEstimates:
         """Residuals and Jacobian of every stretch, of an estimate."""
         with np.errstate(all="ignore"):
             equations = Equations(found.model, self.flown, self.part)
-            streams, _ = equations.streams(found.values, found.estimated, found.per_flight)
+            streams, _ = equations.streams(found.values, found.estimated, found.per_flight, found.initial)
         return beside_initial_states(streams, found.noise)
 
 

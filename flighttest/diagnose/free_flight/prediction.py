@@ -77,7 +77,9 @@ def _left_out(
 ) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
     """Channel to (errors as predicted without their group, their group, errors of the whole estimate); noise: of one-step predictions."""
     with np.errstate(all="ignore"):
-        streams, columns = Equations(one.model, flown, one.part).streams(one.values, one.estimated, one.per_flight)
+        streams, columns = Equations(one.model, flown, one.part).streams(
+            one.values, one.estimated, one.per_flight, one.initial
+        )
     streams = beside_initial_states(streams, one.noise)
     place = [columns.index(n) for n in one.names]
     count, kind = groups_left_out(one)

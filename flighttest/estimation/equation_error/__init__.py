@@ -11,7 +11,7 @@ least_squares: a step and its errors; lack_of_fit: what the equations get wrong.
 """
 
 from flighttest.estimation.equation_error.autoregression import Autoregression, autoregression
-from flighttest.estimation.equation_error.initial_states import InitialStates
+from flighttest.estimation.equation_error.initial_states import InitialStates, PredictedStates
 from flighttest.estimation.equation_error.lack_of_fit import lack_of_fit, second_order
 from flighttest.estimation.equation_error.least_squares import Whitened, block_rows, heterogeneity, step, whiten
 from flighttest.estimation.equation_error.streams import Stream, beside_initial_states, log_scale, misfit_of, noises
@@ -19,6 +19,7 @@ from flighttest.estimation.equation_error.streams import Stream, beside_initial_
 __all__ = [
     "Autoregression",
     "InitialStates",
+    "PredictedStates",
     "Stream",
     "Whitened",
     "autoregression",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.estimation.equation_error.autoregression import Autoregression
+from flighttest.estimation.equation_error.initial_states import PredictedStates, predictions_of
 from flighttest.estimation.equation_error.streams import Stream, predicted_states, whitened_rows
 from flighttest.estimation.linearisation import inverse_of_gram
 
@@ -23,13 +24,14 @@ WANTED_BLOCKS = 40  # a sandwich over fewer understates errors (Cameron, Gelbach
 @dataclass(frozen=True)
 class Whitened:
     """Streams whitened and stacked: residual (N,), columns (N, q); of every row (N,) its group, its block, about 5 s each, its channel,
-    which is empty for predictions of initial states."""
+    which is empty for predictions of initial states, `states`."""
 
     residual: FloatArray
     columns: FloatArray
     group: NDArray[np.intp]
     block: NDArray[np.intp]
     channel: NDArray[np.str_]
+    states: PredictedStates
 
     def information(self) -> tuple[FloatArray, FloatArray]:
         """Normal equations: (q, q) and (q,)."""
@@ -47,7 +49,7 @@ def whiten(streams: Sequence[Stream], noise: Mapping[str, Autoregression], rows_
     used = [s for s in streams if s.residual.size]
     if not used:
         q, none = streams[0].columns.shape[1] if streams else 0, np.zeros(0, dtype=np.intp)
-        return Whitened(np.zeros(0), np.zeros((0, q)), none, none, none.astype(np.str_))
+        return Whitened(np.zeros(0), np.zeros((0, q)), none, none, none.astype(np.str_), predictions_of([]))
     made = [np.column_stack(whitened_rows(noise[s.channel], s)) for s in used]
     blocks = []
     starts: dict[tuple[str, int], int] = {}
@@ -64,7 +66,7 @@ def whiten(streams: Sequence[Stream], noise: Mapping[str, Autoregression], rows_
             begins.setdefault(one.number, (i, one.rows.start))
             made[i][one.rows] -= one.columns @ states.of(one.number)
     for number, (i, row) in begins.items():
-        made.append(-states.of(number))
+        made.append(states.rows(number))
         blocks.append(np.full(len(made[-1]), blocks[i][row]))
         group.append(np.full(len(made[-1]), used[i].group))
         channel.append("")
@@ -72,7 +74,7 @@ def whiten(streams: Sequence[Stream], noise: Mapping[str, Autoregression], rows_
     many = np.zeros(of.max() + 1, dtype=np.intp)  # blocks of each group
     np.maximum.at(many, of, at + 1)
     at += (np.cumsum(many) - many)[of]
-    return Whitened(rows[:, 0], rows[:, 1:], of, at, np.repeat(channel, [len(m) for m in made]))
+    return Whitened(rows[:, 0], rows[:, 1:], of, at, np.repeat(channel, [len(m) for m in made]), states)
 
 
 @dataclass(frozen=True)

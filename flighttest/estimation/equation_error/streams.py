@@ -64,7 +64,8 @@ def misfit_of(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) ->
     the log likelihood."""
     made = [noise[s.channel].whitened(s.residual[:, None]) for s in streams]
     states, along = predicted_states(streams, noise, made)
-    explained = 0.0  # r' V^-1 r = r' r - r' N b
+    # With the steps s = (N' N + I)^-1 (N' r - b0), |r - N s|^2 + |b0 + s|^2 = r' r + b0' b0 - (N' r - b0)' s.
+    explained = -float(np.sum(states.values * (states.values + states.steps[..., 0])))
     for values, some in zip(made, along, strict=True):
         for one in some:
             explained += float(values[one.rows, 0] @ one.columns @ states.of(one.number)[:, 0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
+InitialValues: TypeAlias = Mapping[str, FloatArray]
+"""State to its initial value in every piece (pieces,), in units of its prior standard deviation."""
 
 CHUNK_S = 10.0  # the longest piece of a stretch
 LEAST_SAMPLES = 3  # of a piece: an equation is between two, and `unbroken` asks for three
@@ -86,19 +88,30 @@ class Chunks:
         self._number = [
             np.concatenate([np.full(p.at.size, number[k, p.first]) for p in some]) for k, some in enumerate(cut)
         ]
+        self._number_of_piece = np.array([number[k, p.first] for k, some in enumerate(cut) for p in some])
         self._spread = {n: block.spread[n] for n in block.free_states if n in block.spread}
         known = flown[0].context.filters
         self._filters = {c: hz for c in outputs if (hz := float(known.get(CHANNELS[c].group, 0.0))) > 0.0}
 
-    def simulated(self, values: Mapping[str, float], names: Sequence[str]) -> list[tuple[FloatArray, FloatArray]]:
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Names of the states whose initial values nothing measured."""
+        return tuple(self._spread)
+
+    def simulated(
+        self, values: Mapping[str, float], names: Sequence[str], initial: InitialValues
+    ) -> list[tuple[FloatArray, FloatArray]]:
         """Of every stretch the outputs (n, c) at the samples kept, without disturbances, and their derivatives (n, c, q + k) by q `names`
-        and by the k initial states that nothing measured, in units of their prior standard deviation."""
+        and by the k initial states that nothing measured, in units of their prior standard deviation, about `initial`, 0 where none."""
         block, width = self._block, len(self._outputs)
         free = tuple(n for n in block.params if n in names)
         p = np.array([values[n] for n in block.params])
         nodes = self._stacked.nodes(float(block.delay_s(p)), max_step_s(block, values))
         kernel = Kernel(block, self._outputs, free, self._filters)
-        y, dy = kernel.at_samples(p, self._start + values["K"] * self._start_by_gain, nodes, self._mask, True)
+        start = self._start + values["K"] * self._start_by_gain
+        for n in self._spread.keys() & initial.keys():
+            start[:, block.free_states.index(n)] += self._spread[n] * initial[n][self._number_of_piece]
+        y, dy = kernel.at_samples(p, start, nodes, self._mask, True)
         y, dy = y.reshape(-1, width), dy.reshape(-1, width, dy.shape[-1])
         columns = [list(names).index(n) for n in free]
         unknown = [len(free) + block.free_states.index(n) for n in self._spread]
@@ -111,9 +124,14 @@ class Chunks:
             found.append((y[rows], slopes))
         return found
 
-    def initial_states(self, k: int, slopes: FloatArray, rows: IndexArray | slice) -> InitialStates:
-        """What the samples `rows` of those kept of a stretch began from, with derivatives (n, k) there."""
-        return InitialStates(slopes, self._number[k][rows]) if slopes.shape[1] else InitialStates()
+    def initial_states(
+        self, k: int, slopes: FloatArray, rows: IndexArray | slice, initial: InitialValues
+    ) -> InitialStates:
+        """What the samples `rows` of those kept of a stretch began from, with derivatives (n, k) there, about `initial`."""
+        if not slopes.shape[1]:
+            return InitialStates()
+        number, none = self._number[k][rows], np.zeros(self.count_initial)
+        return InitialStates(slopes, number, np.stack([initial.get(n, none)[number] for n in self._spread], axis=1))
 
     def along(self, k: int, values: FloatArray) -> FloatArray:
         """Of values (n, ...) of a stretch those at the samples kept."""

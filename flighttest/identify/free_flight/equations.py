@@ -10,6 +10,7 @@ import numpy as np
 
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.estimator import part_of
+from flighttest.identify.free_flight.chunks import InitialValues
 from flighttest.identify.free_flight.loops import ATTITUDE_MEANS_S, LoopEquations, compared
 from flighttest.identify.free_flight.stretches import sampling_period_s
 from flighttest.identify.free_flight.translation import TranslationEquations
@@ -43,10 +44,22 @@ class Equations:
         """Names of what the equations depend on."""
         return tuple(dict.fromkeys(n for flight in self.flights for one in self._of(flight) for n in one.params))
 
+    @cached_property
+    def at_rest(self) -> InitialValues:
+        """Initial values of the states that nothing measured, by the mean of their prior: 0."""
+        every = [one.chunks for flight in self.flights for one in self._of(flight)]
+        count = sum(chunks.count_initial for chunks in every)
+        return {n: np.zeros(count) for chunks in every for n in chunks.unmeasured}
+
     def streams(
-        self, values: Mapping[str, float], names: Sequence[str], per_flight: Sequence[str] = ()
+        self,
+        values: Mapping[str, float],
+        names: Sequence[str],
+        per_flight: Sequence[str] = (),
+        initial: InitialValues | None = None,
     ) -> tuple[list[Stream], tuple[str, ...]]:
-        """Residual and Jacobian of every stretch, by `names`; those of `per_flight` have a column for each flight (`name@flight`)."""
+        """Residual and Jacobian of every stretch, by `names`; those of `per_flight` have a column for each flight (`name@flight`). initial:
+        of the states that nothing measured (default: `at_rest`)."""
         shared = [n for n in names if n not in per_flight]
         own = [n for n in names if n in per_flight]
         columns = (*shared, *(f"{n}@{flight}" for flight in self.flights for n in own))
@@ -56,10 +69,11 @@ class Equations:
             mine = {n: values.get(f"{n}@{flight}", values[n]) for n in self.model.names}
             left = []
             for equation in self._of(flight):
-                left += [
-                    one._replace(initial=one.initial.after(before)) for one in equation.evaluated(mine, [*shared, *own])
-                ]
-                before += equation.chunks.count_initial
+                after = before + equation.chunks.count_initial
+                began = {n: x[before:after] for n, x in (initial or {}).items()}
+                made = equation.evaluated(mine, [*shared, *own], began)
+                left += [one._replace(initial=one.initial.after(before)) for one in made]
+                before = after
             if self.part != "translation":
                 left.sort(key=lambda one: one.channel)  # the same order whether a term couples the axes or not
             for channel, residual, slopes, state, states in left:

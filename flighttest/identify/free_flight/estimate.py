@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from flighttest.errors import FitError
 from flighttest.estimation.equation_error import (
+    PredictedStates,
     Stream,
     beside_initial_states,
     block_rows,
@@ -39,9 +40,10 @@ from flighttest.estimation.equation_error import (
 from flighttest.estimation.gauss_newton import Minimum, Space, Tolerances, minimise
 from flighttest.identify.dead_time import thrust_gain
 from flighttest.identify.diagnostics.identifiability import voltage_varies
+from flighttest.identify.free_flight.chunks import InitialValues
 from flighttest.identify.free_flight.equations import Equations
 from flighttest.identify.free_flight.estimated import FreeFlight
-from flighttest.identify.free_flight.stretches import chunk
+from flighttest.identify.free_flight.stretches import most_moved
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -152,19 +154,22 @@ def covariance_at(
         Equations(found.model, flown, found.part),
         _Asked(found.model, found.part, free, tuple(per_flight), dict(priors or {})),
         found.values,
+        found.initial,
     )
     objective.noise = dict(found.noise)
-    nothing = objective.point(np.array([null.get(c.split("@")[0], found.values[c]) for c in objective.columns]))
+    at_null = np.array([null.get(c.split("@")[0], found.values[c]) for c in objective.columns])
+    nothing = objective.point(at_null, found.initial)
     if not nothing.finite:
         return np.full(found.covariance.shape, np.inf)
     streams = [replace(s, columns=n.columns) for s, n in zip(objective.first, nothing.streams, strict=True)]
-    known = objective.errors(_Point(np.array([found.values[c] for c in objective.columns]), streams, finite=True))
+    theta = np.array([found.values[c] for c in objective.columns])
+    known = objective.errors(_Point(theta, streams, finite=True, initial=found.initial))
     return known.covariance - known.between
 
 
 def _with_lag(flown: Sequence[Segment], asked: _Asked, values: Mapping[str, float]) -> dict[str, float]:
     """Start values with the best of several local optima of lag and delay, each followed for a while on a part of the flight."""
-    equations = Equations(asked.model, _some(flown, asked.part), asked.part)
+    equations = Equations(asked.model, most_moved(flown, INPUTS[asked.part], START_S, PIECES), asked.part)
     held = () if asked.free is None else set(values) - set(asked.free)
     starts = [{n: v for n, v in one.items() if n not in held} for one in STARTS[asked.part]]
     tried: list[tuple[float, Mapping[str, float]]] = []
@@ -214,19 +219,6 @@ def _known(some: Mapping[str, float], values: Mapping[str, float]) -> dict[str, 
     return {n: v for n, v in some.items() if n in values}
 
 
-def _some(flown: Sequence[Segment], part: str) -> list[Segment]:
-    """Stretches of at most `START_S` in all, the most from where the inputs of a part of the model move most."""
-    pieces: list[tuple[float, int, Segment]] = []
-    for s in flown:
-        period = float(np.median(np.diff(s.t_s)))
-        n = max(round(START_S / PIECES / period), 10)
-        for a in range(0, max(s.t_s.size - n, 1), n):
-            piece = chunk(s, {}, a, min(a + n, s.t_s.size))
-            moved = sum(float(np.std(piece.u[name][1])) for name in INPUTS[part] if name in piece.u)
-            pieces.append((moved, len(pieces), piece))
-    return [p for _, _, p in sorted(pieces, reverse=True)[:PIECES]]
-
-
 @dataclass(frozen=True)
 class _Asked:
     model: Model
@@ -242,11 +234,13 @@ class _Asked:
 
 @dataclass(frozen=True)
 class _Point:
-    """Parameters theta (q,) and the equations there; finite: whether every stretch has finite residuals and Jacobian at its full length."""
+    """Parameters theta (q,) and the equations there, about initial values of what nothing measured; finite: whether every stretch has
+    finite residuals and Jacobian at its full length."""
 
     theta: FloatArray
     streams: Sequence[Stream]
     finite: bool
+    initial: InitialValues
 
 
 class _Errors(NamedTuple):
@@ -261,15 +255,22 @@ class _Errors(NamedTuple):
 
 class _PredictionErrors:
     """The objective of an estimate (`estimation.gauss_newton`): squares of the innovations and of the priors' departures. The noise of each
-    channel is estimated anew at every step; initial states that nothing measured are predicted."""
+    channel is estimated anew at every step; initial states that nothing measured follow their predictions."""
 
-    def __init__(self, equations: Equations, asked: _Asked, values: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        equations: Equations,
+        asked: _Asked,
+        values: Mapping[str, float],
+        initial: InitialValues | None = None,
+    ) -> None:
         self.equations, self.asked = equations, asked
         self.names = [n for n in equations.params if asked.free is None or n in asked.free]
         self.base = dict(values)
         own = [n for n in asked.per_flight if n in self.names]
         self.base |= {f"{n}@{f}": values.get(f"{n}@{f}", values[n]) for f in equations.flights for n in own}
-        self.first, self.columns = self._at(self.base)
+        self.initial = {**equations.at_rest, **(initial or {})}
+        self.first, self.columns = self._at(self.base, self.initial)
         if not self.first:
             raise FitError("no stretch of free flight without gaps is long enough", "see `flighttest segment`")
         params = [asked.model.param[c.split("@")[0]] for c in self.columns]
@@ -282,22 +283,24 @@ class _PredictionErrors:
         """At the start values, inside the bounds."""
         given = np.array([self.base[c] for c in self.columns])
         inside = self.space.inside(given)
-        return _Point(given, self.first, finite=True) if np.array_equal(inside, given) else self.point(inside)
+        if np.array_equal(inside, given):
+            return _Point(given, self.first, finite=True, initial=self.initial)
+        return self.point(inside, self.initial)
 
-    def point(self, theta: FloatArray) -> _Point:
+    def point(self, theta: FloatArray, initial: InitialValues) -> _Point:
         """The equations at parameters (q,), with their Jacobian."""
-        streams, _ = self._at(self.values(theta))
+        streams, _ = self._at(self.values(theta), initial)
         # A residual that is not finite is no stretch: it must not pay to lose one.
         lengths = ([s.residual.size for s in some] for some in (streams, self.first))
-        return _Point(theta, streams, len({*map(tuple, lengths)}) == 1)
+        return _Point(theta, streams, len({*map(tuple, lengths)}) == 1, initial)
 
     def values(self, theta: FloatArray) -> dict[str, float]:
         """Every value by name."""
         return self.base | dict(zip(self.columns, theta.tolist(), strict=True))
 
-    def _at(self, values: Mapping[str, float]) -> tuple[list[Stream], tuple[str, ...]]:
+    def _at(self, values: Mapping[str, float], initial: InitialValues) -> tuple[list[Stream], tuple[str, ...]]:
         with np.errstate(all="ignore"):
-            return self.equations.streams(values, self.names, self.asked.per_flight)
+            return self.equations.streams(values, self.names, self.asked.per_flight, initial)
 
     def learn(self, at: _Point, _iteration: int) -> bool:
         """The noise of the residuals."""
@@ -317,24 +320,29 @@ class _PredictionErrors:
         """Of a cost, with the noise as learned last."""
         return -log_scale(self.first, self.noise) - 0.5 * (cost + self.log_determinant)
 
-    def normal_equations(self, at: _Point) -> tuple[FloatArray, FloatArray, None]:
-        """Of innovations and priors."""
-        hessian, score = whiten(at.streams, self.noise, self.rows).information()
-        return hessian + np.diag(self.std**-2.0), score + (self.mean - at.theta) / self.std**2, None
+    def normal_equations(self, at: _Point) -> tuple[FloatArray, FloatArray, PredictedStates]:
+        """Of innovations and priors, beside the initial states."""
+        rows = whiten(at.streams, self.noise, self.rows)
+        hessian, score = rows.information()
+        return hessian + np.diag(self.std**-2.0), score + (self.mean - at.theta) / self.std**2, rows.states
 
     def stepped(
-        self, _at: _Point, target: FloatArray, _nuisance: None, _share: float, *, differentiated: bool
+        self, at: _Point, target: FloatArray, nuisance: PredictedStates, share: float, *, differentiated: bool
     ) -> _Point:
-        """At other parameters; the equations come with their Jacobian in any case."""
+        """At other parameters, with initial states as predicted there; the equations come with their Jacobian in any case."""
         del differentiated
-        return self.point(target)
+        step = share * nuisance.steps[..., 0] - nuisance.steps[..., 1:] @ (target - at.theta)
+        initial = {n: x.copy() for n, x in at.initial.items()}
+        for x, own in zip(initial.values(), step.T, strict=False):  # of none where no stretch is long enough
+            x[nuisance.numbers] += own
+        return self.point(target, initial)
 
     def refreshed(self, at: _Point) -> _Point:
         """The point itself, which has its Jacobian."""
         return at
 
     def nuisance_settled(self, _before: _Point, _after: _Point) -> bool:
-        """There are none."""
+        """They are predicted at every point."""
         return True
 
     def found(self, minimum: Minimum[_Point]) -> FreeFlight:
@@ -356,7 +364,7 @@ class _PredictionErrors:
             minimum.status.good, self.log_likelihood(self.cost(at)), self.asked.part,
             self.equations.period_s, leaning,
             {c: float(v) for c, v in zip(self.columns, known.spread, strict=True) if v > 0.0},
-            known.inflation, known.blocks,
+            known.inflation, known.blocks, at.initial,
         )  # fmt: skip
 
     def errors(self, at: _Point) -> _Errors:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.equation_error import Autoregression
 from flighttest.estimation.uncertainty.covariance import interval_factor
+from flighttest.identify.free_flight.chunks import InitialValues
 from flighttest.physics.model import Model
 
 FloatArray = NDArray[np.float64]
@@ -37,7 +38,8 @@ class FreeFlight:
     a shared parameter, the standard deviation by which flights differ in it beyond their errors; inflation: median ratio of the robust
     variances to those of the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson
     2002, section 2.5); blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between the samples
-    of the residual.
+    of the residual; initial: values of the states that nothing measured, in units of their prior standard deviation, that the equations are
+    linear about.
     """
 
     model: Model
@@ -58,6 +60,7 @@ class FreeFlight:
     spread: Mapping[str, float] = field(default_factory=dict)
     inflation: float = 1.0
     blocks: int = 0
+    initial: InitialValues = field(default_factory=dict)
 
     @property
     def held(self) -> HeldEstimate:

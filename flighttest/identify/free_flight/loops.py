@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from flighttest.channels import REFERENCE_OF
-from flighttest.identify.free_flight.chunks import Chunks
+from flighttest.identify.free_flight.chunks import Chunks, InitialValues
 from flighttest.identify.free_flight.stretches import FloatArray, Residual, unbroken
 from flighttest.identify.selection import changes
 from flighttest.physics.blocks import AXES, Block
@@ -55,9 +55,11 @@ class LoopEquations:
         """Names of what the loops depend on."""
         return self.block.params
 
-    def evaluated(self, values: Mapping[str, float], names: Sequence[str]) -> Iterator[Residual]:
+    def evaluated(
+        self, values: Mapping[str, float], names: Sequence[str], initial: InitialValues
+    ) -> Iterator[Residual]:
         """Of every stretch without gaps, without its mean: trim is no dynamics."""
-        for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names)):
+        for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names, initial)):
             t = self.times[k]
             residual = self.measured[k] - predicted
             state = np.concatenate([predicted, np.gradient(predicted, t, axis=0)], axis=1)
@@ -70,8 +72,8 @@ class LoopEquations:
                     own, along, of = (_means(one[seen[a:b]], many) for one in (residual[:, c], slopes[:, c], state))
                     if len(own):
                         along, first = along - along.mean(axis=0), seen[a:b][: len(own) * many : many]
-                        initial = self.chunks.initial_states(k, along[:, len(names) :], first)
-                        yield Residual(channel, own - own.mean(), along[:, : len(names)], of, initial)
+                        began = self.chunks.initial_states(k, along[:, len(names) :], first, initial)
+                        yield Residual(channel, own - own.mean(), along[:, : len(names)], of, began)
 
 
 def _means(values: FloatArray, many: int) -> FloatArray:

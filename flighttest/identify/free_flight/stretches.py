@@ -94,6 +94,19 @@ def chunk(s: Segment, changed: Mapping[str, FloatArray], a: int, b: int) -> Segm
     return replace(s, t_s=s.t_s[a:b], y=y, u=u)
 
 
+def most_moved(flown: Sequence[Segment], inputs: Sequence[str], seconds: float, count: int) -> list[Segment]:
+    """So many pieces of stretches, of so many seconds in all at most, in which these inputs move most."""
+    pieces: list[tuple[float, int, Segment]] = []
+    for s in flown:
+        period = float(np.median(np.diff(s.t_s)))
+        n = max(round(seconds / count / period), 10)
+        for a in range(0, max(s.t_s.size - n, 1), n):
+            piece = chunk(s, {}, a, min(a + n, s.t_s.size))
+            moved = sum(float(np.std(piece.u[name][1])) for name in inputs if name in piece.u)
+            pieces.append((moved, len(pieces), piece))
+    return [p for _, _, p in sorted(pieces, reverse=True)[:count]]
+
+
 def unbroken(t: FloatArray, good: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Index ranges without holes: samples that are good and follow each other."""
     if t.size < 3:

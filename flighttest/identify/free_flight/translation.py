@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from flighttest.estimation.interpolation import filled
 from flighttest.estimation.responses import attitude_angles, zero_order_hold
 from flighttest.frames import G_M_S2, rotation_from_euler
-from flighttest.identify.free_flight.chunks import Chunks
+from flighttest.identify.free_flight.chunks import Chunks, InitialValues
 from flighttest.identify.free_flight.stretches import Residual, unbroken
 from flighttest.physics.blocks import ACCELERATION, FORCE, MEASURED_FORCE, VELOCITY
 from flighttest.physics.model import Model
@@ -102,9 +102,11 @@ class TranslationEquations:
         of velocity are then those of the modelled acceleration so much earlier."""
         return (*self.block.params, LATENCY) if LATENCY in self.model.terms else self.block.params
 
-    def evaluated(self, values: Mapping[str, float], names: Sequence[str]) -> Iterator[Residual]:
+    def evaluated(
+        self, values: Mapping[str, float], names: Sequence[str], initial: InitialValues
+    ) -> Iterator[Residual]:
         """Of every stretch without gaps."""
-        for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names)):
+        for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names, initial)):
             t, seen, state = self.times[k], self.measured[k], self.states[k]
             shift = int(self.outputs == ACCELERATION)  # an increment belongs to the sample at its end
             if self.outputs == ACCELERATION and LATENCY in values:
@@ -119,8 +121,10 @@ class TranslationEquations:
             for c, channel in enumerate(self.outputs):
                 good = np.isfinite(residual[:, c]) & np.isfinite(slopes[:, c]).all(axis=1)
                 for a, b in unbroken(t, good):
-                    initial = self.chunks.initial_states(k, slopes[a:b, c, len(names) :], slice(a + shift, b + shift))
-                    yield Residual(channel, residual[a:b, c], slopes[a:b, c, : len(names)], state[a:b], initial)
+                    began = self.chunks.initial_states(
+                        k, slopes[a:b, c, len(names) :], slice(a + shift, b + shift), initial
+                    )
+                    yield Residual(channel, residual[a:b, c], slopes[a:b, c, : len(names)], state[a:b], began)
 
 
 def _late(
