@@ -18,9 +18,8 @@ def flown(rng):
     velocity = np.cumsum(world, axis=0) * 0.02
     position = np.cumsum(velocity, axis=0) * 0.02
     made = {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw}
-    made |= {
-        f"{r}_rad_s": np.gradient(made[f"{a}_rad"], T) for r, a in zip("pqr", ("roll", "pitch", "yaw"), strict=True)
-    }
+    turning = np.einsum("nji,njk->nik", rotation, np.gradient(rotation, T, axis=0))
+    made |= {"p_rad_s": turning[:, 2, 1], "q_rad_s": turning[:, 0, 2], "r_rad_s": turning[:, 1, 0]}
     made |= {"f_x_m_s2": 0 * T, "f_y_m_s2": 0 * T, "f_z_m_s2": thrust}
     made |= {f"v_{a}_m_s": velocity[:, k] for k, a in enumerate("xyz")}
     made |= {f"p_{a}_m": position[:, k] for k, a in enumerate("xyz")}
@@ -47,6 +46,57 @@ def test_another_unit_or_sign_is_reported(names, factor, said):
     table = flown(np.random.default_rng(2))
     table |= {n: table[n] * factor for n in names}
     assert any(said in line and "column map" in line for line in disagreements(T, table))
+
+
+FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
+VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
+
+
+@pytest.mark.parametrize("left_out", [FORCE, (*FORCE, *VELOCITY)])
+def test_tilt_and_motion_of_two_frames_are_reported_without_an_accelerometer(left_out):
+    """A table of NED and FRD, declared as NWU and FLU, was imported without a word, and fitted: K 1 m/s^2, drag 5 1/s."""
+    table = {n: v for n, v in flown(np.random.default_rng(6)).items() if n not in left_out}
+    for n in ("p_x_m", "p_y_m", "p_z_m"):
+        table[n] = np.convolve(
+            table[n], np.ones(25) / 25, mode="same"
+        )  # motion capture: twice differentiated, noise is all
+        table[n][[*range(50), *range(-50, 0)]] = np.nan
+    assert disagreements(T, table) == []
+    other = ("v_y_m_s", "v_z_m_s", "p_y_m", "p_z_m", "pitch_rad", "yaw_rad", "q_rad_s", "r_rad_s")
+    turned = table | {n: -table[n] for n in other if n in table}
+    said = disagreements(T, turned)
+    assert any("forward acceleration" in line and "is -" in line and "column map" in line for line in said)
+
+
+@pytest.mark.parametrize(("first", "second"), [("v_x_m_s", "v_y_m_s"), ("q_rad_s", "r_rad_s"), ("p_rad_s", "q_rad_s")])
+def test_two_axes_in_each_others_place_are_reported(first, second):
+    table = flown(np.random.default_rng(7))
+    swapped = table | {first: table[second], second: table[first]}
+    said = disagreements(T, swapped)
+    assert any(line.startswith(first) and "another order" in line and "column map" in line for line in said)
+    assert any(line.startswith(second) and "another order" in line for line in said)
+
+
+def test_a_quaternion_in_another_order_is_reported():
+    from scipy.spatial.transform import Rotation
+
+    table = flown(np.random.default_rng(8))
+    turns = Rotation.from_euler("ZYX", np.stack([table[n] for n in ("yaw_rad", "pitch_rad", "roll_rad")], axis=1))
+    x, y, z, w = turns.as_quat().T
+    yaw, pitch, roll = Rotation.from_quat(np.stack([y, z, w, x], axis=1)).as_euler("ZYX").T
+    said = disagreements(T, table | {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw})
+    assert any("another order" in line for line in said)
+
+
+def test_axes_that_move_together_are_not_taken_for_each_other():
+    """Along a diagonal line each velocity goes with the other's position, too."""
+    rng = np.random.default_rng(9)
+    line = np.sin(0.5 * T)
+    table = {"p_x_m": line, "p_y_m": 0.8 * line + 0.15 * np.sin(1.1 * T)}
+    table |= {"v_x_m_s": np.gradient(line, T), "v_y_m_s": np.gradient(table["p_y_m"], T)}
+    for noise in (0.0, 0.5, 1.0, 2.0):
+        noisy = table | {n: table[n] + rng.normal(0.0, noise, T.size) for n in ("v_x_m_s", "v_y_m_s")}
+        assert disagreements(T, noisy) == []
 
 
 def test_what_hardly_moves_or_is_hardly_there_says_nothing():
