@@ -34,7 +34,7 @@ _FOLLOWED_S = 2.0  # followed before: what never did has references of something
 
 
 def flights(recording: Recording) -> tuple[tuple[float, float], ...]:
-    """From take-off to landing, s, of every flight of a recording in order; at least one."""
+    """From take-off to landing, s, of every flight of a recording in order; none where the vehicle stood all the time."""
     start, end = _whole(recording)
     landings = _landings(recording, start, end)
     lost = _without_control(recording, start, end, landings)
@@ -42,7 +42,8 @@ def flights(recording: Recording) -> tuple[tuple[float, float], ...]:
     for down, up in _joined([*landings, *_crashes(recording, start, end), *lost]):
         bounds += [down, up]
     pieces = zip(bounds[::2], [*bounds[1::2], end], strict=True)
-    return tuple((a, b) for a, b in pieces if a < b) or ((start, end),)
+    # What is left beside a stand is the edge of a sample, or legs that had not left the ground yet.
+    return tuple((a, b) for a, b in pieces if b - a > (_ASIDE_S if len(bounds) > 1 else 0.0))
 
 
 def control_lost(recording: Recording) -> tuple[tuple[float, float], ...]:
@@ -259,11 +260,20 @@ def _joined(stretches: Sequence[tuple[float, float]]) -> list[tuple[float, float
 
 
 def _at_rest(recording: Recording, start: float, end: float) -> bool:
-    if recording.has("v_x_m_s", "v_y_m_s", "v_z_m_s"):
-        return all(_still(recording, start, end, _STANDS_M_S, v) for v in ("v_x_m_s", "v_y_m_s", "v_z_m_s"))
+    """By the velocities that are known there, of which the vertical one suffices; else by the specific force."""
+    known = [v for v in ("v_x_m_s", "v_y_m_s", "v_z_m_s") if _known_in(recording, v, start, end)]
+    if "v_z_m_s" in known:
+        return all(_still(recording, start, end, _STANDS_M_S, v) for v in known)
     t, force = _known_force(recording)
     inside = (t >= start) & (t <= end)  # none: no evidence that it stood
     return bool(inside.any()) and abs(float(np.median(force[inside])) - _weight(recording)) < _RESTS_M_S2
+
+
+def _known_in(recording: Recording, name: str, start: float, end: float) -> bool:
+    if not recording.has(name):
+        return False
+    t, values = recording.channel(name)
+    return bool(np.isfinite(values[(t >= start) & (t <= end)]).any())
 
 
 def _low(recording: Recording, down: float, up: float) -> tuple[float, float]:

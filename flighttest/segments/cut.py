@@ -325,8 +325,8 @@ class _Cutter:
         )
 
     def _takeoff_s(self, t_s: float) -> float:
-        """Of the flight that a time lies in."""
-        return max((up for up in self.takeoffs_s if up <= t_s), default=self.takeoffs_s[0])
+        """Of the flight that a time lies in; the time itself where the vehicle never flew."""
+        return max((up for up in self.takeoffs_s if up <= t_s), default=self.takeoffs_s[0] if self.takeoffs_s else t_s)
 
     def _edge_error_s(self) -> float:
         """Half a row of a table: a row holds what was asked for last, since when within the row before was not recorded."""

@@ -1,5 +1,7 @@
 """What is flight and what is none, of recordings whose take-offs and landings the autopilot reports wrongly or not at all."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,32 @@ def test_what_stands_with_motors_turning_does_not_fly(throttle, force, found):
         return lambda t: np.where((t >= 20.0) & (t < 35.0), inside, outside)
 
     assert spans(recorded(between(throttle, 0.5), between(force, usual))) == found
+
+
+def test_a_vehicle_that_stands_all_the_time_has_no_flight():
+    """Of an armed vehicle whose motors never turned 20 s were used as free flight, with unknown physics in them: its horizontal velocity
+    was known for the last quarter alone."""
+    still = recorded(0.0, G_M_S2, markers=[Marker(5.0, "note", "armed")])
+    velocity = np.where(np.arange(1200) < 900, np.nan, 0.01)
+    t = still.series["reference"].t_s
+    columns = {"v_x_m_s": velocity, "v_y_m_s": velocity, "v_z_m_s": np.full(t.size, 0.01)}
+    for grounded in (still, replace(still, series={**still.series, "velocity": Series(t, columns)})):
+        assert flights(grounded) == ()
+        assert cut(grounded) == ()
+        assert {s.use for s in budget(grounded, ())} == {Use.GROUND}
+    thrown = replace(
+        still, series={**still.series, "velocity": Series(t, {**columns, "v_z_m_s": np.full(t.size, -3.0)})}
+    )
+    assert spans(thrown) == [(0, 60)]
+
+
+def test_a_hop_before_the_legs_have_left_the_ground_is_no_flight():
+    """One log had two flights, the first of them from 4 s to 4 s."""
+    throttle = lambda t: np.where((t < 20.4) | (t > 40.0), 0.5 * (t > 20.0), 0.0)  # noqa: E731
+    hop = recorded(throttle, G_M_S2, markers=[Marker(19.0, "note", "take-off")])
+    t = hop.series["reference"].t_s
+    height = Series(t, {"height_m": np.interp(t, [41.0, 43.0], [0.0, 2.0])})
+    assert spans(replace(hop, series={**hop.series, "height": height})) == [(41, 60)]
 
 
 @pytest.mark.parametrize(
