@@ -160,6 +160,15 @@ def test_a_program_is_reported_as_well_that_a_flight_was_fitted(call, model, fli
     assert json.loads(out)["careful"].startswith("flight was used in the fit")
 
 
+def test_a_model_that_predicts_worse_than_none_is_called_so(call, model, free_csv, tmp_path):
+    """0.70 m/s after 1 s, where the last measurement was off by 0.38, was said to be smaller than with no drag, on a green page."""
+    document = yaml.safe_load(model.read_text())
+    document["parameters"]["K"]["value"] *= 0.7
+    (tmp_path / "weak.yaml").write_text(yaml.safe_dump(document))
+    assert "worse than no model" not in " ".join(call("validate", model, free_csv)[1].split())
+    assert "worse than no model" in " ".join(call("validate", tmp_path / "weak.yaml", free_csv)[1].split())
+
+
 def test_steps_beside_a_free_flight_are_validated_too(call, model, free_csv, throttle_steps, worn_csv, tmp_path):
     alone = json.loads(call("validate", model, free_csv, "--json")[1])
     assert alone["careful"] == alone["another_vehicle"] == ""

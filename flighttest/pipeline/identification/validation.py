@@ -82,7 +82,7 @@ def validate(
         verdict = " ".join(
             f"In {kind}: {v[0].lower()}{v[1:]}" for kind, v in (("free flight", verdict), ("steps", on_steps))
         )
-        tone = "warn" if "warn" in (tone, steps_tone) else tone
+        tone = next((t for t in _WORST_FIRST if t in (tone, steps_tone)), tone)
         sections = (*validation_sections(found, "free flight"), *validation_sections(steps_alone, "steps"))
         data["steps"] = _data(steps_alone)
     document = Document("validation", verdict, tone, sections, facts)
@@ -141,6 +141,9 @@ def _left_out(segments: Sequence[Segment]) -> str:
     return f"of {len(segments)} responses {join(words)}" if words else ""
 
 
+_WORST_FIRST: tuple[Tone, ...] = ("bad", "warn")
+
+
 def _verdict(found: Validation) -> tuple[str, Tone]:
     at = min((e.horizon_s for e in found.errors), key=lambda h: abs(h - 1.0), default=1.0)
     full = {e.group: e for e in found.errors if e.variation is Variation.FULL and e.horizon_s == at}
@@ -159,6 +162,9 @@ def _verdict(found: Validation) -> tuple[str, Tone]:
     few = full[group].few
     tone: Tone = "warn" if few else "good"
     head = f"After {at:g} s the {group} error of the model is {mine:.3g} {units} (RMS{', ' if few else ''}{few})"
+    held = found.rmse(Variation.HOLD, group, at)
+    if held is not None and held < mine * 0.98:
+        return f"{head}; that of the last measurement, held for {at:g} s, is {held:.3g} {units}: worse than no model.", "bad"
     if worse:
         return f"{head}; that of a simplification ({join(worse)}) is smaller on this flight.", "warn"
     if not better:
