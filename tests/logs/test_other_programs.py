@@ -232,6 +232,19 @@ def test_matlab_files_that_cannot_be_read_say_why(tmp_path):
         import_log(saved(tmp_path, {"a": 1.0, "b": "text"}))
 
 
+def test_a_vector_of_another_length_than_the_times_is_no_column_and_it_is_said(tmp_path):
+    """`there is no column 'controller_roll'; it has t_s, pose_x, ...` was said of a file that holds it."""
+    path, columns = tmp_path / "flight.mat", tmp_path / "map.yaml"
+    scipy.io.savemat(path, {"time": T, "roll": ROLL, "command": {"roll": ROLL[:-7]}})
+    columns.write_text("format: columns/1\ncolumns: {t_s: time, roll_rad: roll, roll_ref_rad: command.roll}\n")
+    with pytest.raises(RecordingError, match=f"it has {T.size - 7} values, where the times have {T.size}") as caught:
+        import_log(path, columns)
+    assert "times of its own samples" in str(caught.value.hint)
+    columns.write_text("format: columns/1\ncolumns: {t_s: time, roll_rad: roll, roll_ref_rad: command.rol}\n")
+    with pytest.raises(RecordingError, match=r"there is no column 'command\.rol'"):
+        import_log(path, columns)
+
+
 def test_a_damaged_matlab_file_never_reaches_the_compiled_reader(tmp_path):
     """A number type that does not exist ended the process in a bus error; field names of no length divide by zero."""
     path = saved(tmp_path, {"log": {"att": {"t": T, "roll_rad": ROLL}}})

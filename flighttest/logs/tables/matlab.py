@@ -63,18 +63,21 @@ def read_matlab(file: LogFile, data: bytes) -> Sheet:
         )
     tables = [(path, t, _bare(columns)) for path, t, columns in tables]
     timed = [(t, columns) for _, t, columns in tables if t is not None and columns]
+    unread = _of_other_length("", content, {t.size for t, _ in timed})
     if len(timed) == 1:
         t, columns = timed[0]
-        return Sheet(str(file.path), {TIME: t, **columns}, losses)
+        return Sheet(str(file.path), {TIME: t, **columns}, losses, unread=unread)
     if timed:
-        return Sheet(str(file.path), joined(timed), losses)
+        return Sheet(str(file.path), joined(timed), losses, unread=unread)
     loose: dict[int, dict[str, FloatArray]] = {}
     for _, _, columns in tables:
         for name, vector in columns.items():
             loose.setdefault(vector.size, {})[name] = vector
     if not loose:
         raise RecordingError(f"{file.path}: it holds no vectors of numbers", "name a file with logged signals")
-    return Sheet(str(file.path), max(loose.values(), key=len), losses)
+    chosen = max(loose.values(), key=len)
+    unread = _of_other_length("", content, {v.size for v in chosen.values()})
+    return Sheet(str(file.path), chosen, losses, unread=unread)
 
 
 def _bare(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -115,6 +118,19 @@ def _tables(path: str, content: dict[str, Any], outer: FloatArray | None = None)
     if columns or (time is not None and time is not outer):
         yield path, time, columns
     yield from others
+
+
+def _of_other_length(path: str, content: dict[str, Any], lengths: set[int]) -> dict[str, str]:
+    """Every vector that has none of these lengths, by its path, with the reason why it is not read."""
+    found: dict[str, str] = {}
+    for name, value in content.items():
+        named = f"{path}.{name}" if path else name
+        if (vector := _numbers(value)) is not None and not set(vector.shape) & lengths:
+            rows = " or ".join(str(n) for n in sorted(lengths))
+            found[named] = f"it has {vector.shape[0]} values, where the times have {rows}"
+        for inner, one in _structures(value):
+            found |= _of_other_length(f"{named}{inner}", one, lengths)
+    return found
 
 
 def _timeseries(path: str, content: dict[str, Any]) -> MatlabTable | None:

@@ -17,6 +17,7 @@ from flighttest.errors import RecordingError
 
 FloatArray = NDArray[np.float64]
 
+_OTHER_LENGTH = "save it with the times of its own samples, as a timeseries or in a structure with its time"
 TIME = "t_s"  # the column of times, where a table has one in seconds
 _CELL = re.compile(r"^(?P<name>.*?)(?P<indices>(\[\d+\])*)$")
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
@@ -35,12 +36,13 @@ Column = NDArray[Any] | pd.Series  # as read: numbers, or text
 @dataclass
 class Sheet:
     """A table: column name to raw values (numbers, or text as read). losses: what could not be read. crazyflie: the columns are
-    the log variables of a Crazyflie."""
+    the log variables of a Crazyflie. unread: what the file holds beside it under these names, and why it is no column."""
 
     path: str
     raw: Mapping[str, Column]
     losses: list[str] = field(default_factory=list)
     crazyflie: bool = False
+    unread: Mapping[str, str] = field(default_factory=dict)
     _cells: dict[str, list[Any]] = field(default_factory=dict)
 
     @property
@@ -58,6 +60,8 @@ class Sheet:
         if name in self.raw:
             return self._numbers(name)
         column, indices = cell_of(name)
+        if column not in self.raw and column in self.unread:
+            raise RecordingError(f"{self.path}: {column!r} is no column: {self.unread[column]}", _OTHER_LENGTH)
         if column not in self.raw or not indices:
             guess = nearest(name, self.raw)
             hint = f"did you mean {guess!r}?" if guess else f"it has {', '.join(list(self.raw)[:30])}"
