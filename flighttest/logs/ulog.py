@@ -15,6 +15,7 @@ from pyulog.exceptions import ULogException
 
 from flighttest import frames
 from flighttest.errors import RecordingError
+from flighttest.logs.heights import ranged_height
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.other_vehicles import refuse_by_px4
 from flighttest.logs.timing import held_union, ordered, outliers
@@ -249,13 +250,15 @@ class _Importer:
         return self._series(topic[0], values, names, "vehicle_local_position")
 
     def _height(self, series: dict[str, Series]) -> Series | None:
+        position = series.get("position")
         topic = self._topic("vehicle_local_position")
         if topic is not None and "dist_bottom" in topic[1] and "dist_bottom_valid" in topic[1]:
             good = (topic[1]["dist_bottom_valid"] != 0) & np.isfinite(topic[1]["dist_bottom"])
             if np.count_nonzero(good) > 0.2 * good.size:
-                values = {"height_m": _float(topic[1]["dist_bottom"][good])}
-                return ordered(topic[0][good], values, "vehicle_local_position", [])
-        position = series.get("position")
+                height, how = ranged_height(topic[0], _float(topic[1]["dist_bottom"]), good, position)
+                if how:
+                    self.derived["height_m"] = how
+                return ordered(topic[0], {"height_m": height}, "vehicle_local_position", [])
         if position is None or not np.isfinite(position.columns["p_z_m"]).any():
             return None
         up = position.columns["p_z_m"]

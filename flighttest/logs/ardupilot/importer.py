@@ -20,6 +20,7 @@ from flighttest.logs.ardupilot.notes import board, firmware, logged_parameters, 
 from flighttest.logs.ardupilot.targets import Targets
 from flighttest.logs.ardupilot.text_log import messages
 from flighttest.logs.ardupilot.times import Stamped, Times
+from flighttest.logs.heights import ranged_height
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.other_vehicles import refuse_by_firmware
 from flighttest.logs.timing import ordered
@@ -275,18 +276,21 @@ class _Importer:
             self.derived[name] = "GPS: the log has no EKF message"
 
     def _height(self, series: dict[str, Series]) -> Series | None:
+        position = series.get("position")
         if "RFND" in self.tables:
             table, t_s = self.tables["RFND"]
             dist = next((f for f in ("Dist", "Dist1") if f in table), None)
             if dist is not None:
-                good = np.ones(len(table), dtype=bool)
-                for field, value in (("Orient", _FACING_DOWN), ("Stat", _RANGE_GOOD)):
-                    if field in table:
-                        good &= table.raw[field] == value
-                good &= table.get(dist) > 0
+                down = table.raw["Orient"] == _FACING_DOWN if "Orient" in table else np.ones(len(table), dtype=bool)
+                ranged = table.get(dist)[down]
+                good = ranged > 0
+                if "Stat" in table:
+                    good &= table.raw["Stat"][down] == _RANGE_GOOD
                 if np.count_nonzero(good) > 0.2 * len(table):
-                    return ordered(t_s[good], {"height_m": table.get(dist)[good]}, "RFND", self.losses)
-        position = series.get("position")
+                    height, how = ranged_height(t_s[down], ranged, good, position)
+                    if how:
+                        self.derived["height_m"] = how
+                    return ordered(t_s[down], {"height_m": height}, "RFND", self.losses)
         if position is None:
             return None
         up = position.columns["p_z_m"]
