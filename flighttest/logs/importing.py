@@ -96,6 +96,11 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
             f"{path}: a database; of ROS 2 bags those in MCAP are read",
             "convert it: ros2 bag convert -i BAG -o out.yaml, with storage_id: mcap in out.yaml",
         )
+    if suffix == ".log":
+        raise RecordingError(
+            f"{path}: named .log, but no dataflash log of ArduPilot as text",
+            "if it is a table, write its rows into a .csv file and describe their columns with --columns map.yaml (docs/formats.md)",
+        )
     if suffix in {".yaml", ".yml"}:
         raise RecordingError(
             f"{path}: this is not a recording",

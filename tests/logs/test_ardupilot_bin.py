@@ -122,6 +122,7 @@ def test_compressed_logs_are_read_as_they_are(flight, attempt, tmp_path, suffix,
         ("a.BIN", b"\xa3\x95\x80" + bytes(500), "dataflash"),
         ("a.BIN", bytes(5000), "not a kind of log"),
         ("a.xyz", b"hello world, this is no log", "not a kind of log"),
+        ("a.log", b"[2024-07-29] Current time [s], Position x [m]", "no dataflash log of ArduPilot as text"),
     ],
 )
 def test_what_is_no_log_is_refused_with_a_remedy(tmp_path, name, data, words):
@@ -333,3 +334,17 @@ def test_where_no_command_was_logged_the_yaw_rate_asked_for_is_that_of_the_headi
     assert asked[since > 3.0] == pytest.approx(-np.radians(250.0), rel=1e-4)
     assert r.channel("yaw_rate_shaped_rad_s")[1] == pytest.approx(-np.radians(57.0))
     assert "own target" in r.provenance.derived["yaw_rate_ref_rad_s"]
+
+
+@pytest.mark.parametrize(
+    ("subsystem", "code", "said"),
+    [
+        (12, 1, "autopilot error: crash check (12/1)"), (16, 0, "autopilot error resolved: EKF check (16/0)"),
+        (10, 0, "autopilot error: flight mode refused (10/0)"), (77, 3, "autopilot error: unknown subsystem (77/3)"),
+    ],
+)  # fmt: skip
+def test_an_error_of_the_autopilot_has_a_name(flight, tmp_path, subsystem, code, said):
+    w = flight()
+    w.format("ERR", "QBB", "TimeUS,Subsys,ECode")
+    w.write("ERR", 54_100_000, subsystem, code)
+    assert said in [m.label for m in import_log(w.save(tmp_path / "a.BIN")).markers]

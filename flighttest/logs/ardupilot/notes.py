@@ -63,6 +63,15 @@ def firmware(tables: Mapping[str, Stamped]) -> str:
     return ""
 
 
+# LogErrorSubsystem of ArduPilot (AP_Logger.h). Of flight mode and EKF primary the code is a number of a mode, of an estimator.
+_SUBSYSTEMS = {
+    1: "main loop", 2: "radio", 3: "compass", 4: "optical flow", 5: "radio failsafe", 6: "battery failsafe", 7: "GPS failsafe",
+    8: "ground station failsafe", 9: "fence failsafe", 10: "flight mode refused", 11: "GPS", 12: "crash check", 13: "flip",
+    14: "autotune", 15: "parachute", 16: "EKF check", 17: "EKF failsafe", 18: "barometer", 19: "processor", 20: "ADS-B failsafe",
+    21: "terrain", 22: "navigation", 23: "terrain failsafe", 24: "EKF primary changed", 25: "thrust loss check", 26: "sensor failsafe",
+    27: "leak failsafe", 28: "pilot input", 29: "vibration failsafe", 30: "internal error", 31: "dead reckoning failsafe",
+}  # fmt: skip
+_NOT_RESOLVED_BY_0 = (10, 24)
 _BOARD = re.compile(r"\S+ ([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})")
 _UID2_BYTES = 18  # of AUTOPILOT_VERSION, which has the twelve bytes of the board's number first
 
@@ -120,6 +129,13 @@ def _modes(tables: Mapping[str, Stamped]) -> list[tuple[float, float]]:
     return sorted((float(t), float(m)) for t, m in zip(t_s, table.raw[field], strict=True))
 
 
+def _error(subsystem: int, code: int) -> str:
+    """In words, with the numbers of the log."""
+    resolved = code == 0 and subsystem not in _NOT_RESOLVED_BY_0
+    named = _SUBSYSTEMS.get(subsystem, "unknown subsystem")
+    return f"autopilot error{' resolved' if resolved else ''}: {named} ({subsystem}/{code})"
+
+
 def markers(tables: Mapping[str, Stamped]) -> list[Marker]:
     """Marks and texts (MSG), mode changes, take-off and landing, and the errors the autopilot logged."""
     found: list[Marker] = []
@@ -145,5 +161,5 @@ def markers(tables: Mapping[str, Stamped]) -> list[Marker]:
         table, t_s = tables["ERR"]
         for t, subsystem, code in zip(t_s, table.raw["Subsys"], table.raw["ECode"], strict=True):
             data: EventData = {"subsystem": int(subsystem), "code": int(code)}
-            found.append(Marker(float(t), "note", f"autopilot error {int(subsystem)}/{int(code)}", data))
+            found.append(Marker(float(t), "note", _error(int(subsystem), int(code)), data))
     return sorted(found, key=lambda m: m.t_s)
