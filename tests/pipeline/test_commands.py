@@ -146,6 +146,19 @@ def test_validate_export_and_compare(call, model, free_csv, worn_csv, tmp_path):
     assert max(abs(p["z"]) for p in json.loads(out)["parameters"] if p["z"] is not None) == 0.0
 
 
+def test_the_gain_is_shown_as_it_is_compared(call, model, tmp_path):
+    """Beside 13.0 and 6 m/s^2 a change of 2405 % was printed: at one voltage the second was 327 m/s^2."""
+    document = yaml.safe_load(model.read_text())
+    stored, alpha = document["parameters"]["K"]["value"], document["parameters"]["alpha"]["value"]
+    document["constants"]["nominal_voltage_v"] *= 0.5
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(document))
+    _, out, _ = call("compare", model, tmp_path / "other.yaml")
+    (row,) = [line.split() for line in out.splitlines() if line.startswith("K ")]
+    assert float(row[2]) == pytest.approx(stored * 2.0**alpha, rel=0.01)
+    assert "K of the second is that at" in " ".join(out.split())
+    assert "K of the second" not in call("compare", model, model)[1]
+
+
 @pytest.fixture(scope="module")
 def free_csv(synthetic, tmp_path_factory):
     """The first seconds of a flight: too few steps for anything but free flight."""

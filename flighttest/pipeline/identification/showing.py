@@ -103,7 +103,10 @@ def _outlook(recording: Recording, segments: Sequence[Segment]) -> tuple[tuple[P
     free = [s for s in segments if s.usable and s.kind == "free"]
     usable = [*steps, *free[:: max(1, len(free) // MOST_WINDOWS)]]
     if not segments:
-        return (), "There is no flight in this recording: the time budget (--all shows it) says what became of its time."
+        return (
+            (),
+            "There is no flight in this recording: the time budget (--all shows it) says what became of its time.",
+        )
     if not usable:
         return (), "No response of this recording can be used; the reasons are in the table of responses."
     model = base_model([recording], None)

@@ -164,7 +164,10 @@ def _verdict(found: Validation) -> tuple[str, Tone]:
     head = f"After {at:g} s the {group} error of the model is {mine:.3g} {units} (RMS{', ' if few else ''}{few})"
     held = found.rmse(Variation.HOLD, group, at)
     if held is not None and held < mine * 0.98:
-        return f"{head}; that of the last measurement, held for {at:g} s, is {held:.3g} {units}: worse than no model.", "bad"
+        return (
+            f"{head}; that of the last measurement, held for {at:g} s, is {held:.3g} {units}: worse than no model.",
+            "bad",
+        )
     if worse:
         return f"{head}; that of a simplification ({join(worse)}) is smaller on this flight.", "warn"
     if not better:
