@@ -76,6 +76,22 @@ def test_an_accepted_model_is_its_vehicles_and_keeps_those_before_it(call, tmp_p
     assert lineage.in_use(out).model.terms == (*PAPER, "quadratic_drag")
 
 
+def test_where_a_model_was_accepted_is_said_with_what_uses_it(call, tmp_path, monkeypatch):
+    """`status` was said to use the model, looked in runs/, and asked for the --vehicle that had been given."""
+    out, vehicle = tmp_path / "elsewhere", tmp_path / "vehicle.yaml"
+    vehicle.write_text("format: vehicle/1\nname: heron\n")
+    model = write_model(tmp_path / "one")
+    monkeypatch.chdir(tmp_path)
+    assert "useitforthisvehicle,eachwith--outelsewhere" in joined(call("accept", model, "--out", "elsewhere")[1])
+    code, _, said = call("status", "--vehicle", vehicle)
+    assert code == 2
+    assert "with --out" in said
+    assert "name it with --vehicle" not in said
+    assert "name it with --vehicle" in call("status")[2]
+    assert out.is_dir()
+    assert "each with" not in call("accept", model, "--out", "runs")[1]
+
+
 def test_a_model_that_is_in_use_is_not_accepted_again(call, tmp_path):
     out, folder = tmp_path / "runs", write_model(tmp_path / "one")
     answers = [call("accept", folder, "--out", out)[1] for _ in range(2)]

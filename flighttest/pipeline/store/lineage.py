@@ -137,9 +137,10 @@ def in_use(out: Path, vehicle: str = "") -> ModelFile:
     found = model_of(out, vehicle)
     if found is None:
         whose = f" of a vehicle called {vehicle}" if vehicle else ""
+        remedy = "name the folder where its model was accepted with --out" if vehicle else NAME_IT
         raise InputError(
-            f"no model was given, and {out} holds no run{whose} with a fit",
-            f"name one with --model, fly: flighttest run thrust, or {NAME_IT}",
+            f"no model was given, and {out} holds neither an accepted model nor a run with a fit{whose}",
+            f"name one with --model, fly: flighttest run thrust, or {remedy}",
         )
     return found
 

@@ -47,7 +47,8 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
     if len(whole.generations) > 1:
         before = whole.generations[-2]
         facts["before it"] = f"model {before.number}: {'; '.join(before.ended)}"
-    facts["now"] = "status, run, check, validate and export use it for this vehicle"
+    where = f", each with{words}" if (words := out_words(out)) else ""
+    facts["now"] = f"status, run, check, validate and export use it for this vehicle{where}"
     command = twin_command(whole.current, [out / name for name in made.runs]) if whole.current is not None else ""
     if command:
         facts["its twin"] = command
