@@ -15,6 +15,7 @@ from flighttest.diagnose.free_flight import equation_search
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.estimates import null_inside_interval
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
+from flighttest.diagnose.free_flight.reported import candidates_of
 from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS
 from flighttest.estimation.responses import exogenous
@@ -129,6 +130,8 @@ def test_a_term_whose_null_value_is_inside_its_interval_is_not_named(monkeypatch
     found = find_terms(flown, ALONE, TILTS)
     assert "attitude_offset" not in found.named
     assert found.refused["attitude_offset"][1] == "it may be nothing"
+    (row,) = [c for c in candidates_of(found) if c["term"] == "attitude_offset"]
+    assert row["probability"] == pytest.approx(1.0)  # that of its evidence, which was not why it was refused
 
 
 def test_a_named_term_leaves_where_its_null_value_comes_to_be_inside_its_interval(monkeypatch):

@@ -152,7 +152,8 @@ def test_all_of_a_flight_is_estimated_by_prediction_errors_where_somebody_steere
     assert parts_by_prediction_errors(windows) == ALL
     assert parts_by_prediction_errors([*windows[:3], by_hand, *windows[4:]]) == ALL
     assert parts_by_prediction_errors([*windows[:3], step, *windows[4:]]) == ()  # of a script
-    assert parts_by_prediction_errors(windows[:10]) == ()
+    assert parts_by_prediction_errors(windows[:2]) == ALL
+    assert parts_by_prediction_errors(windows[:1]) == ()  # 2.5 s, of which a second is what the others begin from
 
 
 def test_an_attitude_that_is_stuck_shows_nothing_of_its_loop():

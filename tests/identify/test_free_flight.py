@@ -9,6 +9,7 @@ import pytest
 from flighttest.errors import FitError
 from flighttest.estimation.gauss_newton import minimise
 from flighttest.frames import rotation_from_euler
+from flighttest.identify.diagnostics.identifiability import allowance
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.identify.free_flight.chunks import Chunks
 from flighttest.identify.free_flight.equations import Equations
@@ -17,6 +18,7 @@ from flighttest.identify.free_flight.translation import predicted
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, any_wind, headings_of, winds, winds_of
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
+from flighttest.pipeline.identification.fitting import fit_segments
 from flighttest.segments.model import Segment
 from flighttest.sim.plants.slung import SlungLoad
 
@@ -128,6 +130,21 @@ def test_a_position_loop_in_gusts_does_not_bias_the_estimates(accelerometer):
         assert abs(found.values[name] - truth) < 3.0 * found.std[name], name
     assert found.std["K"] < 0.02 * GAIN
     assert found.std["d_x"] < 0.15
+
+
+def test_ten_seconds_in_gusts_show_the_gain_that_carries_the_vehicle():
+    """By output error they show 42.1 and 41.1 m/s^2: what a slow lag keeps, and a constant force, carry a sixth of the vehicle."""
+    for seed in (21, 24):
+        made = fit_segments(flight(10.0, seed, gust=0.5), [])
+        assert abs(made.values["K"] - GAIN) < 0.06 * GAIN
+
+
+def test_what_few_blocks_show_is_known_by_its_interval():
+    """Of one degree of freedom a small standard error has a wide interval: drag of 0.4 +- 0.5 1/s was known."""
+    made = fit_segments(flight(7.5, 21, gust=0.1), [])
+    for name, e in made.estimates.items():
+        if e.identifiable and e.interval_95 is not None and name in TRUTH:
+            assert np.ptp(e.interval_95) / 2 < 1.96 * allowance(made.model.param[name], e.value), name
 
 
 def test_an_estimate_does_not_depend_on_where_it_began():

@@ -90,7 +90,7 @@ def candidates_of(search: EquationSearch) -> list[CandidateRow]:
         rows.append(candidate_row(n.term, n.nats, probability, None, why, named=True))
     for term, (nats, why) in search.refused.items():
         if term not in search.named:
-            rows.append(candidate_row(term, nats, 0.0, None, why))
+            rows.append(candidate_row(term, nats, probability_of(nats, len(search.offered)), None, why))
     done = {r["term"] for r in rows}
     for s in search.screened:
         if s.term not in done:

@@ -81,7 +81,8 @@ def maneuver_for(param: Param, reveals: str) -> str:
 
 @dataclass(frozen=True)
 class Estimated:
-    """One parameter as the solver left it. std: None where none was estimated; partner: the parameter it is most correlated with."""
+    """One parameter as the solver left it. std: of a normal distribution with its 95 % interval, which few degrees of freedom widen, None
+    where none was estimated; partner: the parameter it is most correlated with."""
 
     value: float
     std: float | None

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from flighttest.errors import FitError
 from flighttest.estimation.linearisation import FloatArray
 from flighttest.estimation.solver import Start, solve
-from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
+from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor, normal_std
 from flighttest.identify.diagnostics.identifiability import Estimated, judge
 from flighttest.identify.fit import Estimate, Fit, fit, has_attitude_references, mean_delay
 from flighttest.identify.free_flight.estimate import determined, estimate
@@ -22,23 +22,22 @@ from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
-LEAST_S = 30.0  # of stretches: below, 30 blocks of a second do not carry a sandwich over a dozen parameters
 LOOPS = ("roll_pitch", "yaw")
 
 
 def parts_by_prediction_errors(segments: Sequence[Segment]) -> tuple[str, ...]:
     """Parts of the model (`estimation.estimator.BLOCKS`) that usable segments show by prediction errors, the translation first; the others
     by output error: all of what a pilot or another controller steered, who answers what gusts do, and so moves the commands that output
-    error takes for causes. No part with less than `LEAST_S` of stretches."""
+    error takes for causes.
+
+    However short: of ten flights of 10 s under a position loop in gusts of 0.5 m/s^2 the gain of 50 m/s^2 is off by 1.1 (root mean square),
+    by output error by 4.9; of 7.5 s by 1.4 and 1.7, where intervals of output error hold 37 of 58 parameters, and those of prediction
+    errors, which are of few blocks and wide, 60 of 60."""
     usable = [s for s in segments if s.usable]
     if not all(s.steered for s in usable):
         return ()
     loops = LOOPS if has_attitude_references(usable) else ()
-    return tuple(p for p in ("translation", *loops) if _lasts_s(usable, p) >= LEAST_S)
-
-
-def _lasts_s(segments: Sequence[Segment], part: str) -> float:
-    return sum(float(np.ptp(s.t_s)) for s in stretches(segments, part))
+    return tuple(p for p in ("translation", *loops) if stretches(usable, p))
 
 
 def fit_by_prediction_errors(
@@ -93,7 +92,8 @@ def _with_errors(made: Fit, found: HeldEstimate) -> Fit:
         assumed = n in found.assumed and (p.kind != "amplitude" or p.off is None)
         known_std = std[n] if np.isfinite(std[n]) and not assumed else None
         at_bound = not p.lower < e.value < p.upper
-        known = judge(p, Estimated(e.value, known_std, assumed, at_bound), made.voltage_spread_v, reveals.get(n, ""))
+        judged = None if known_std is None else normal_std(known_std, dof)
+        known = judge(p, Estimated(e.value, judged, assumed, at_bound), made.voltage_spread_v, reveals.get(n, ""))
         interval = None if known_std is None else (max(e.value - half, p.lower), min(e.value + half, p.upper))
         estimates[n] = Estimate(
             n, e.symbol, e.unit, e.value, known_std, interval, "fit" if known_std is not None else "assumed", known.identifiable,
