@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import count, islice
@@ -134,7 +135,8 @@ def sized(names: Sequence[str], vehicle_seed: int, rng: np.random.Generator) -> 
 
 
 def _sized(name: str, usual: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
-    factor = float(np.exp(rng.uniform(np.log(FACTOR[0]), np.log(FACTOR[1]))))
+    # `math`: of numpy's exponential the last digit depends on the processor, and with it the seal.
+    factor = math.exp(rng.uniform(math.log(FACTOR[0]), math.log(FACTOR[1])))
     if name in _WHOLE:
         factor = float(rng.uniform(0.6, 1.0))
     if name in _INVERSE:

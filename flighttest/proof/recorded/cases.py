@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -143,7 +144,7 @@ def _draw(seed: int, index: int, here: Mapping[RecordedSet, Sequence[str]]) -> R
     one = _one_of([s for s in here if s.source == source], rng)
     number = {"clean": 0, "single": 1, "pair": 2}[kind]
     order = [str(e) for e in rng.permutation(sorted(set(ADDED) - set(one.own)))]
-    low, high = np.log(SIZE)
+    low, high = map(math.log, SIZE)  # `math`: as in `proof.cases`
     return RecordedCase(
         index=index,
         seed=seed,
@@ -153,9 +154,9 @@ def _draw(seed: int, index: int, here: Mapping[RecordedSet, Sequence[str]]) -> R
         columns=str(one.columns) if one.columns else None,
         own=one.own,
         order=tuple(order) if number else (),
-        sizes=tuple(float(np.exp(rng.uniform(low, high))) for _ in range(number)),
+        sizes=tuple(math.exp(rng.uniform(low, high)) for _ in range(number)),
         signs=tuple(float(rng.choice([-1.0, 1.0])) for _ in range(3)),
-        answer_1_s=float(np.exp(rng.uniform(*np.log(ANSWER_1_S)))),
+        answer_1_s=math.exp(rng.uniform(*map(math.log, ANSWER_1_S))),
         begin=float(rng.random()),
     )
 
