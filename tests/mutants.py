@@ -61,7 +61,6 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "diagnose/residuals/outlying.py": ("tests/diagnose/test_outlying.py",),
     "diagnose/kinematics.py": ("tests/diagnose/test_kinematics.py",),
     "identify/free_flight/loops.py": ("tests/identify/test_attitude_loops.py",),
-    "identify/free_flight/equation_fit.py": ("tests/identify/test_attitude_loops.py",),
     "estimation/gauss_newton.py": ("tests/estimation",),
     "estimation/likelihood_weights.py": ("tests/estimation",),
     "estimation/uncertainty/covariance.py": ("tests/estimation",),

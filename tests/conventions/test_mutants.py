@@ -7,9 +7,7 @@ import pytest
 from tests.mutants import CONDITIONS, CONSTANTS, ROOT, Mutant, copied, mutants, passes, place, survives
 
 NOTICED = (
-    ("flight/gate.py", "target.throttle <= high + EPSILON is low - EPSILON <= target.throttle"),
     ("flight/gate.py", "target.yaw_rate_rad_s == 0.0 is True"),
-    ("flight/gate.py", "blind is False"),
     ("diagnose/selection/subsets.py", "ABSORBED = 0.002 for 0.001"),
 )
 

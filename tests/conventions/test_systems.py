@@ -62,7 +62,7 @@ for words in sys.argv[1].split(";"):
 
 
 def test_a_log_is_fitted_diagnosed_and_reported_without_what_windows_lacks(repository, tmp_path):
-    log = repository / "tests" / "data" / "sitl_thrust.tlog.xz"
+    log = repository / "tests" / "data" / "sitl_roll_pitch.tlog.xz"
     words = (
         f"fit {log} -o model.yaml;import {log} -o run;show run;diagnose run --model model.yaml -o diagnosis;report diagnosis;"
         "check yaw_rate;run yaw_rate --only fly --yes"

@@ -28,7 +28,7 @@ def over_a_slow_link(when: When, after_s: float, folder: Path) -> Cell:
     return fly_cell(Fault("pilot", 60.0, latency_s=LATENCY_S, pilot_after_s=after_s), when, folder)
 
 
-@pytest.mark.parametrize("after_s", [0.4, 0.5, 0.6, 0.7])
+@pytest.mark.parametrize("after_s", [0.4, 0.7])  # in two phases of the 0.2 s
 @pytest.mark.parametrize("when", [When.ENTERING, When.RETURNING, When.ABORTING, When.LANDING])
 def test_no_repeated_request_overrules_a_pilot(when: When, after_s: float, run_dir: Path) -> None:
     """Repeats every 0.2 s were under way when the pilot's mode was seen, arrived after it, and the flight went on."""

@@ -27,7 +27,7 @@ limits: {tilt_target_max_deg: 35, tilt_abort_deg: 50, throttle: [0.0, 0.6], heig
 reset: {to: [0, 0, 5], by: guided, settle_s: 1}
 steps:
   - throttle_pair: {throttle_0: [0.10, 0.15], throttle_1: [0.25, 0.40], hold_0_s: {up_to: 0.6}, record_1_s: {up_to: 1.5}}
-repeat: {each: 2, order: sequential}
+repeat: {each: 1, order: sequential}
 """
 
 
