@@ -11,6 +11,7 @@ from flighttest.flight import FlightOutcome, FlightProgress, FlightState, LegOut
 from flighttest.flight.execution.legs import AutopilotSettings
 from flighttest.link.ardupilot import UNSHAPED_LAG_S, ArduPilot
 from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import dialect
 from flighttest.pipeline.diagnosis.next_flight import flown_vehicle
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run, read_manifest
@@ -186,12 +187,18 @@ def test_ctrl_c_in_the_climb_does_not_wait_for_its_end(
 ) -> None:
     link = FaultyLink(options())
     heights: list[float] = []
+    modes: list[int] = []
 
     def pressed() -> int:
         height = float(link.sim.vehicle.motion.pz)
         heights.append(height)
         return presses if max(heights) > 1.0 else 0
 
+    def look(message: object, _t_s: float) -> None:
+        if message.get_type() == "COMMAND_LONG" and message.command == dialect.MAV_CMD_DO_SET_MODE and pressed():  # type: ignore[attr-defined]
+            modes.append(int(message.param2))  # type: ignore[attr-defined]
+
+    link.hook = look
     plan = make_plan()
     result = fly(
         replace(plan, reset=replace(plan.reset, by=by)), "sim", run_dir, transport=link, stop_requested=pressed
@@ -199,9 +206,15 @@ def test_ctrl_c_in_the_climb_does_not_wait_for_its_end(
     assert result.outcome is outcome
     assert max(heights) < 3.0
     assert link.sim.vehicle.armed is (outcome is FlightOutcome.OPERATOR_ABORT)
+    assert not {CopterMode.GUIDED, CopterMode.GUIDED_NOGPS} & set(modes), "nothing is begun after a stop"
+    assert {leg.why for leg in result.legs} == {("the operator asked to stop",)}
 
 
-def test_a_vehicle_that_the_pilot_has_is_the_pilots_to_land(run_dir: Path) -> None:
+@pytest.mark.parametrize(("presses", "outcome"), [(1, FlightOutcome.OPERATOR_STOP), (2, FlightOutcome.OPERATOR_ABORT)])
+def test_a_vehicle_that_the_pilot_has_is_the_pilots_to_land(
+    presses: int, outcome: FlightOutcome, run_dir: Path
+) -> None:
+    """Ctrl-C while the pilot flies by agreement: the steps that were not flown are missing, the vehicle stays with the pilot."""
     link = FaultyLink(options())
     waiting: list[float] = []
 
@@ -216,9 +229,10 @@ def test_a_vehicle_that_the_pilot_has_is_the_pilots_to_land(run_dir: Path) -> No
         run_dir,
         transport=link,
         on_progress=pilot,
-        stop_requested=lambda: int(len(waiting) > 3),
+        stop_requested=lambda: presses * int(len(waiting) > 3),
     )
-    assert result.outcome is FlightOutcome.LEFT_TO_PILOT
+    assert result.outcome is outcome
+    assert result.left is FlightState.WITH_PILOT
     assert link.sim.vehicle.mode == CopterMode.LOITER
     assert link.sim.vehicle.armed
 

@@ -128,7 +128,8 @@ def test_one_frame_hands_no_vehicle_back(run_dir: Path) -> None:
         result = fly(
             make_plan(by="pilot"), "proxy", run_dir, transport=proxy, clock=proxy.clock(), stop_requested=stops
         )
-    assert result.outcome is FlightOutcome.LEFT_TO_PILOT, result.sentence
+    assert result.outcome is FlightOutcome.OPERATOR_STOP, result.sentence
+    assert result.left is FlightState.WITH_PILOT
     assert proxy.sim.vehicle.mode == CopterMode.LOITER
 
 

@@ -56,7 +56,7 @@ def rest(control: FlightControl, leg: Leg) -> LegResult:
             if control.vehicle.armed:
                 control.on(Event.ARMED)
             if control.stop_asked:
-                return finish(control, leg, LegOutcome.STOPPED)
+                return finish(control, leg, LegOutcome.STOPPED, (control.stop_reason,))
     return finish(control, leg, LegOutcome.FLOWN)
 
 
@@ -141,7 +141,9 @@ def fly_leg(
             control.show(phase=phase)
         if control.stop_asked:
             reached = supervisor.abort(control, (control.stop_reason,))
-            return finish(control, leg, LegOutcome.STOPPED, (f"in {reached.name}",))
+            return finish(
+                control, leg, LegOutcome.STOPPED, (control.stop_reason, f"the vehicle went to {reached.name}")
+            )
         # On a grid from the leg's start; a host that was held up drops ticks instead of sending them late in a burst.
         tick = max(tick + 1, math.floor((control.session.now_s() - start) / control.period_s + 1e-6) + 1)
         control.until(start + tick * control.period_s - ahead_s)

@@ -69,7 +69,7 @@ class Scheduler:
             return self._stopped()
         outcome = self.take_off() or self._legs(in_air)
         if not self.control.owned:
-            return FlightOutcome.LEFT_TO_PILOT if outcome is FlightOutcome.COMPLETED or self._handed else outcome
+            return FlightOutcome.LEFT_TO_PILOT if outcome is FlightOutcome.COMPLETED else outcome
         if outcome is not FlightOutcome.OPERATOR_ABORT:
             try:
                 self.land()
@@ -78,10 +78,6 @@ class Scheduler:
                     raise
                 # The outcome is what ended the flight first, not how the landing ended.
         return outcome
-
-    @property
-    def _handed(self) -> bool:
-        return self.control.machine.state is FlightState.HANDED
 
     # -- up and down ---------------------------------------------------------------------------------------------------------
 
@@ -253,8 +249,8 @@ class Scheduler:
         if arrived.how is Arrival.REFUSED:
             return self._refused_on_the_way(leg, arrived.refused)
         if not arrived.settled:
-            why = (arrived.how.value,)
-            control.recorder.event("note", f"{leg.id}: {arrived.how.value}", control.session.now_s())
+            why = (control.stop_reason if arrived.how is Arrival.STOPPED else arrived.how.value,)
+            control.recorder.event("note", f"{leg.id}: {why[0]}", control.session.now_s())
             if control.state.mode == CopterMode.GUIDED_NOGPS and control.owned:
                 supervisor.abort(control, why)
             return LegResult(
@@ -313,6 +309,10 @@ class Scheduler:
         self._note(f"planned again for what was seen: {found.words}")
 
     def _reset(self, leg: Leg) -> reset.Arrived:
+        if (
+            self.control.stop_asked
+        ):  # in the climb, or while it was planned again: no mode is asked for but the one that ends the flight
+            return reset.Arrived(Arrival.STOPPED)
         lost = lost_control(self.control.state, self.control.gate) if self.plan.reset.by != "pilot" else ()
         if lost:
             return reset.Arrived(Arrival.REFUSED, refused=lost)
