@@ -6,9 +6,10 @@ the like took last time.
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from types import TracebackType
 from typing import Any
 
@@ -26,9 +27,28 @@ from flighttest.report.render.flight_view import line, picture
 PLAIN_EVERY_S = 10.0
 SHOWN_FROM_S = 0.7  # a stage that is shorter is one line only
 BAR_WIDTH = 24
-MOST_SHARE = 0.97  # of what is only expected: it may take longer than last time
 # A terminal that is gone, or a reader (tee, less) that Ctrl-C ended with us, must not end a flight; rich leaves the program for it.
 _OUTPUT_CLOSED = (OSError, SystemExit)
+
+
+@contextmanager
+def without_echoed_controls(file: int) -> Iterator[None]:
+    """Without the terminal's own "^C": it moves the cursor, from which a live picture is erased upwards. Nothing where file is none."""
+    try:
+        import termios
+
+        before = termios.tcgetattr(file)
+    except (ImportError, OSError, termios.error):  # not on this system, or no terminal
+        yield
+        return
+    flags = list(before)
+    flags[3] &= ~termios.ECHOCTL
+    termios.tcsetattr(file, termios.TCSANOW, flags)
+    try:
+        yield
+    finally:
+        with suppress(termios.error):  # the terminal is gone
+            termios.tcsetattr(file, termios.TCSANOW, before)
 
 
 class LiveProgress:
@@ -59,8 +79,12 @@ class LiveProgress:
         self._durations = durations or Durations(default_path())
         self._stage, self._stage_s = "", self._started_s
         self._part: tuple[float, float] | None = None
+        self._held = ExitStack()
 
     def __enter__(self) -> LiveProgress:
+        if self._show.live:
+            with suppress(OSError, ValueError, AttributeError):  # no file behind it
+                self._held.enter_context(without_echoed_controls(sys.stdin.fileno()))
         return self
 
     def __exit__(
@@ -68,6 +92,7 @@ class LiveProgress:
     ) -> None:
         with suppress(*_OUTPUT_CLOSED):
             self._stop()
+        self._held.close()
         if kind is None:
             self._timed()
 
@@ -112,7 +137,8 @@ class LiveProgress:
         if self._part is not None and self._part[1] > 0:
             return min(self._part[0] / self._part[1], 1.0)
         expected_s = self._durations.expected_s(self._stage)
-        return min((self._clock() - self._stage_s) / expected_s, MOST_SHARE) if expected_s else None
+        share = (self._clock() - self._stage_s) / expected_s if expected_s else 1.0
+        return share if share < 1.0 else None  # one that takes longer than last time: how much longer is not known
 
     def words(self) -> str:
         """'40 %, about 12 s left', or how long it has taken where its share is not known; nothing of a short stage."""

@@ -72,12 +72,17 @@ class LegResult:
     refused: tuple[Refusal, ...] = ()
 
 
+HOW_TO_STOP = "Ctrl-C lands; twice, before LAND, leaves it in its safe mode; the mode switch always takes over"
+HOW_TO_STOP_HANDED = "the pilot flies; Ctrl-C ends the flight and leaves the vehicle with the pilot"
+
+
 @dataclass(frozen=True)
 class FlightProgress:
     """What a live view needs, about four times a second.
 
     leg: number of the leg that flies now, from 1, of `legs`. doing, next: words. time_left_s: of the plan's remaining legs and
-    resets. zone_margin_m: distance to the nearest wall after a stop; voltage_v: 2 s mean; link_loss: share of frames lost; silence_s: since
+    resets, NaN where none is flown any more.
+    zone_margin_m: distance to the nearest wall after a stop; voltage_v: 2 s mean; link_loss: share of frames lost; silence_s: since
     the vehicle was last heard, uplink_silence_s: since it last answered;
     rates_hz: message name to received rate; t_s: the vehicle's clock; all None or NaN where unknown. alarm: for the operator at
     once, the latest of `alarms` so far; place_m: (x, y) in the zone, zone_m: its (lowest, highest) x and y.
@@ -105,14 +110,17 @@ class FlightProgress:
     alarms: int = 0
     place_m: tuple[float, float] | None = None
     zone_m: tuple[tuple[float, float], tuple[float, float]] | None = None
-    how_to_stop: str = "Ctrl-C lands; twice, before LAND, leaves it in its safe mode; the mode switch always takes over"
+    how_to_stop: str = HOW_TO_STOP
 
     def __str__(self) -> str:
         silent = max(self.silence_s, self.uplink_silence_s)
         link = f"link {100 * (1 - self.link_loss):.0f} %, answered {silent:.1f} s ago"
         margins = f"zone {self.zone_margin_m:.1f} m, {self.voltage_v:.1f} V, {link}"
-        minutes, seconds = divmod(round(self.time_left_s), 60)
-        return f"leg {self.leg}/{self.legs} {self.doing} [{self.phase}]; {margins}; {minutes}:{seconds:02d} left; next {self.next}"
+        left = "-"
+        if math.isfinite(self.time_left_s):
+            minutes, seconds = divmod(round(self.time_left_s), 60)
+            left = f"{minutes}:{seconds:02d}"
+        return f"leg {self.leg}/{self.legs} {self.doing} [{self.phase}]; {margins}; {left} left; next {self.next}"
 
 
 OnProgress = Callable[[FlightProgress], None]

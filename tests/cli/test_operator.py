@@ -6,15 +6,16 @@ import io
 import os
 import re
 import signal
+import tempfile
 import time
 
 import pytest
 
-from flighttest.cli.live import SHOWN_FROM_S, LiveProgress
+from flighttest.cli.live import SHOWN_FROM_S, LiveProgress, without_echoed_controls
 from flighttest.cli.show import Show
 from flighttest.flight import FlightProgress
 from flighttest.link.transport import full_url
-from flighttest.pipeline.flights.interrupts import counted_interrupts
+from flighttest.pipeline.flights.interrupts import LEAVING, STOPPING, counted_interrupts
 
 _DRAWN_S = 0.3  # a picture is drawn eight times a second
 
@@ -116,6 +117,28 @@ def test_the_answer_to_ctrl_c_leaves_no_line_of_the_picture_before(view: str, mo
         screen.write(out.getvalue()[len(answered) :])
         assert sum("after it" in row for row in screen.rows) == 1
         assert not [row for row in screen.rows if "before it" in row]
+
+
+def test_the_terminal_echoes_no_control_character_into_a_live_picture() -> None:
+    """ "^C" at the end of the picture's last line moved the cursor, and one line of the old picture stayed until the flight's end."""
+    termios = pytest.importorskip("termios")
+    _, terminal = os.openpty()
+
+    def echoes() -> bool:
+        return bool(termios.tcgetattr(terminal)[3] & termios.ECHOCTL)
+
+    assert echoes()
+    with without_echoed_controls(terminal):
+        assert not echoes()
+        assert termios.tcgetattr(terminal)[3] & termios.ECHO, "an answer is typed"
+    assert echoes()
+    with tempfile.TemporaryFile() as file, without_echoed_controls(file.fileno()):
+        pass
+
+
+def test_the_answers_to_ctrl_c_fit_a_line_of_80_columns() -> None:
+    """What does not is cut: the half that was lost was what a second press does."""
+    assert max(map(len, (STOPPING, LEAVING))) < 80
 
 
 def test_ctrl_c_is_answered_before_anything_looks_at_it(capfd: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,22 @@ def landing_asked(link: FaultyLink) -> list[float]:
 
     link.hook = look
     return times
+
+
+def test_what_is_old_is_not_shown_as_where_the_vehicle_is(run_dir: Path) -> None:
+    """The distance to the wall was that of a vehicle which had gone on at its last speed for as long as the link was lost."""
+    link = FaultyLink(options())
+    began = marked(link, " step")
+    link.mute = lambda t: bool(began) and began[0] + 0.6 < t < began[0] + 6.0
+    seen: list[FlightProgress] = []
+    fly(make_plan(), "sim", run_dir, transport=link, on_progress=seen.append)
+    late = [p for p in seen if p.silence_s > 1.0]
+    assert len(late) > 10
+    assert {(p.place_m, math.isfinite(p.zone_margin_m), math.isfinite(p.speed_m_s)) for p in late} == {
+        (None, False, False)
+    }
+    flown = [p for p in seen if p.silence_s < 0.3 and p.height_m > 3.0]
+    assert all(p.place_m is not None and p.zone_margin_m > 0.0 for p in flown)
 
 
 @pytest.mark.parametrize("duration_s", [1.5, 4.0])

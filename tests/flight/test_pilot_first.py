@@ -192,3 +192,21 @@ def test_a_mode_of_others_is_not_called_the_pilots(run_dir: Path) -> None:
     [text] = {a for a in alarms if "nothing is sent" in a}
     assert text.startswith("in LAND (by the pilot, a failsafe, the fence or a station)")
     assert text.endswith("PILOT, take over with the mode switch")
+
+
+def test_a_warning_that_repeats_is_one_alarm_while_it_is_shown(run_dir: Path) -> None:
+    """A vehicle that does not arm says why with each of sixty tries: sixty lines, each with the terminal's bell."""
+    link = FaultyLink(options())
+    alarms: dict[int, str] = {}
+
+    def warn(message: object, _t_s: float) -> None:
+        if message.get_type() == "SET_ATTITUDE_TARGET":  # type: ignore[attr-defined]
+            for text in (b"Arm: Battery failsafe", b"Arm: Hardware safety switch"):
+                link.say(1, dialect.MAVLink_statustext_message(dialect.MAV_SEVERITY_CRITICAL, text))
+
+    link.hook = warn
+    fly(make_plan(), "sim", run_dir, transport=link, on_progress=lambda p: alarms.setdefault(p.alarms, p.alarm))
+    assert sorted(text for text in alarms.values() if "Arm" in text) == [
+        "message of the vehicle: Arm: Battery failsafe",
+        "message of the vehicle: Arm: Hardware safety switch",
+    ]

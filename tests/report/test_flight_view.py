@@ -4,8 +4,10 @@ import io
 import math
 from types import SimpleNamespace
 
+import pytest
 from rich.console import Console
 
+from flighttest.flight.outcome import HOW_TO_STOP, HOW_TO_STOP_HANDED
 from flighttest.report.render.flight_large import figure_rows, large, zone_map
 from flighttest.report.render.flight_view import line, picture
 
@@ -62,3 +64,21 @@ def test_the_two_directions_of_the_link_are_shown_apart():
     mute = facts(silence_s=4.0)
     assert "down silent for 4 s" in line(mute)
     assert "up: answered" in drawn(mute)
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("view", [picture, large])
+@pytest.mark.parametrize("words", [HOW_TO_STOP, HOW_TO_STOP_HANDED])
+def test_how_to_stop_is_read_to_its_end_on_any_terminal(words, view, width):
+    """On 80 columns it ended in "the mode swit"."""
+    text = drawn(facts(how_to_stop=words), view, width)
+    assert words in " ".join(text.replace("│", " ").split())
+
+
+def test_a_landing_promises_no_time_that_steps_would_have_taken():
+    landing = facts(doing="landing", time_left_s=math.nan, mode="LAND", stopping=True, next="")
+    assert "left" not in drawn(landing)
+    assert "left" not in line(landing)
+    assert "stopping (LAND)" in drawn(landing).splitlines()[0]
+    assert "stopping (BRAKE)" in drawn(facts(mode="BRAKE", stopping=True)), "a second Ctrl-C does not land"
+    assert "LAND" not in drawn(facts(mode="BRAKE", stopping=True), large).splitlines()[0]

@@ -11,9 +11,10 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from flighttest.flight.execution.live_view import LiveView
 from flighttest.flight.execution.machine import Event, FlightState, Machine
-from flighttest.flight.gate import GateLimits, Refusal, refusals, stop_throttles, zone_clearance_m
-from flighttest.flight.outcome import FlightProgress, OnProgress
+from flighttest.flight.gate import GateLimits, Refusal, refusals, stop_throttles
+from flighttest.flight.outcome import HOW_TO_STOP, HOW_TO_STOP_HANDED, OnProgress
 from flighttest.flight.preparation.changes import ExternalChanges
 from flighttest.flight.recorder import Recorder
 from flighttest.flight.state import StateReader, VehicleState
@@ -26,8 +27,6 @@ from flighttest.mavlink import CopterMode, mode_name
 from flighttest.mavlink.dialect import Message, is_armed, is_warning
 from flighttest.plan import AttitudeTarget
 
-PROGRESS_EVERY_S = 0.25
-ALARM_S = 15.0  # for which the live view shows one
 UNSURE_S = (
     0.3  # without an answer: a question in 0.25 s (session.TIMESYNC_EVERY_S), and 50 ms for the way there and back
 )
@@ -88,10 +87,7 @@ class FlightControl:
         self.hover_throttle = gate.hover_throttle
         self._stops = stops
         self.external_changes = external_changes
-        self._on_progress = on_progress
-        self._progress = FlightProgress(0, 0, "", "", "", 0.0, 0.0)
-        self._next_progress_s = self._alarm_over_s = -math.inf
-        self._counts: tuple[float, dict[str, int]] = (0.0, {})
+        self._view = LiveView(self.session, on_progress)
         self.machine = Machine()
         self._mode = -1  # as HEARTBEAT showed it last
         self._safe_modes: frozenset[int] = frozenset()
@@ -348,52 +344,14 @@ class FlightControl:
 
     def show(self, **changes: Any) -> None:
         """Change what the live view shows: fields of FlightProgress."""
-        self._progress = replace(self._progress, **changes)
+        self._view.show(**changes)
 
     def alarm(self, text: str) -> None:
-        """Alarm the operator now, with a sound where there is one."""
-        self.show(alarm=text, alarms=self._progress.alarms + 1)
-        self._alarm_over_s = self.session.now_s() + ALARM_S * self.pace
+        """Alarm the operator now, with a sound where there is one and the same was not said while an alarm is shown."""
+        self._view.alarm(text)
         self._report(at_once=True)
 
     def _report(self, at_once: bool = False) -> None:
-        now = self.session.now_s()
-        if self._on_progress is None or (now < self._next_progress_s and not at_once):
-            return
-        if now > self._alarm_over_s:
-            self.show(alarm="")
-        self._next_progress_s = now + PROGRESS_EVERY_S * self.pace
-        since, counts = self._counts
-        span = now - since
-        rates = {
-            name: (self.session.counts.get(name, 0) - counts.get(name, 0)) / span
-            for name in ("ATTITUDE", "HIGHRES_IMU", "LOCAL_POSITION_NED")
-            if span > 0
-        }
-        if span > 2.0:
-            self._counts = (now, dict(self.session.counts))
-        state = self.state
-        clearance, place = math.nan, None
-        if state.position_m is not None and state.velocity_m_s is not None:
-            clearance = zone_clearance_m(state, self.gate)
-            here = self.gate.zone.from_world([state.position_m[0], state.position_m[1], 0.0])
-            place = float(here[0]), float(here[1])
-        self._on_progress(
-            replace(
-                self._progress,
-                t_s=now,
-                zone_margin_m=clearance,
-                place_m=place,
-                zone_m=(self.gate.zone.x_m, self.gate.zone.y_m),
-                height_m=state.height_m if state.height_m is not None else math.nan,
-                speed_m_s=state.speed_m_s if state.speed_m_s is not None else math.nan,
-                voltage_v=state.voltage_v if state.voltage_v is not None else math.nan,
-                voltage_min_v=self.gate.limits.voltage_min_v,
-                link_loss=self.session.port.loss_share,
-                uplink_silence_s=state.uplink_silence_s,
-                silence_s=state.silence_s,
-                rates_hz=rates,
-                mode=mode_name(state.mode),
-                stopping=self.stop_asked,
-            )
-        )
+        handed = self.machine.state is FlightState.HANDED
+        how_to_stop = HOW_TO_STOP_HANDED if handed else HOW_TO_STOP
+        self._view.report(self.state, self.gate, at_once=at_once, stopping=self.stop_asked, how_to_stop=how_to_stop)

@@ -157,7 +157,7 @@ class Scheduler:
     def land(self) -> None:
         """LAND where it is; it disarms by itself. FlightEnded where it was not seen to."""
         control = self.control
-        control.show(doing="landing", next="", phase="")
+        control.show(doing="landing", next="", phase="", time_left_s=math.nan)
         deadline = 0.0
         while not control.machine.state.is_end:
             if control.machine.state is not FlightState.LANDING:  # or not any more: an earlier request came late

@@ -8,10 +8,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-STOPPING = (
-    "Ctrl-C: stopping; a vehicle in the air is made safe and lands (again, before LAND: it stays in its safe mode)"
-)
-LEAVING = "Ctrl-C again: one that lands goes on landing; take any other in the air over with the mode switch"
+STOPPING = "Ctrl-C: stopping; in the air it lands (again, before LAND: its safe mode)"
+LEAVING = "Ctrl-C again: a landing goes on; else take it over with the mode switch"
+"""Short enough for a terminal of 80 columns, on which they have one line."""
 _ANEW = "\r\x1b[2K"  # to the beginning of the terminal's line, and erase it
 
 

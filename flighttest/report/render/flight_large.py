@@ -27,7 +27,7 @@ def large(facts: Any) -> RenderableType:
     if facts.alarm:
         style, head = BAD, facts.alarm
     elif facts.stopping:
-        style, head = WARN, "STOPPING: LANDING"
+        style, head = WARN, f"STOPPING {facts.mode}"
     else:
         style, head = GOOD, f"FLYING {facts.mode}"
     near = facts.zone_margin_m < ZONE_NEAR_M

@@ -54,7 +54,8 @@ def line(facts: FlightFacts) -> str:
     if math.isfinite(facts.voltage_v):
         parts.append(f"{facts.voltage_v:.1f} V")
     parts.append(_health(facts))
-    parts.append(f"{_clock(facts.time_left_s)} left")
+    if math.isfinite(facts.time_left_s):
+        parts.append(f"{_clock(facts.time_left_s)} left")
     if facts.next:
         parts.append(f"next {facts.next}")
     return ", ".join(parts)
@@ -88,7 +89,8 @@ def picture(facts: FlightFacts) -> RenderableType:
     done = max(facts.leg - 1, 0)
     bar.add_row(
         ProgressBar(total=max(facts.legs, 1), completed=done, width=32),
-        f"step {facts.leg} of {facts.legs}, {_clock(facts.time_left_s)} left",
+        f"step {facts.leg} of {facts.legs}"
+        + (f", {_clock(facts.time_left_s)} left" if math.isfinite(facts.time_left_s) else ""),
     )
     grid.add_row("flight", bar)
     grid.add_row("clearance", _clearance(facts))
@@ -96,14 +98,13 @@ def picture(facts: FlightFacts) -> RenderableType:
     grid.add_row("link", _link(facts))
     if facts.alarm:
         grid.add_row("alarm", Text(facts.alarm, style="bold red"))
-    title = "stopping: landing" if facts.stopping else f"flying ({facts.mode})" if facts.mode else "flying"
+    grid.add_row("stop", Text(facts.how_to_stop))
+    title = f"{'stopping' if facts.stopping else 'flying'}{f' ({facts.mode})' if facts.mode else ''}"
     style = "yellow" if facts.stopping else "cyan"
     return Panel(
         grid,
         title=title,
         title_align="left",
-        subtitle=facts.how_to_stop,
-        subtitle_align="left",
         border_style=style,
         padding=(0, 1),
     )
@@ -161,7 +162,5 @@ def _number(value: float, places: int = 1) -> str:
 
 
 def _clock(seconds: float) -> str:
-    if not math.isfinite(seconds):
-        return "-"
     minutes, rest = divmod(max(round(seconds), 0), 60)
     return f"{minutes}:{rest:02d}"
