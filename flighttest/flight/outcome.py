@@ -15,7 +15,9 @@ class FlightOutcome(Enum):
 
     COMPLETED = "the plan was flown to its end"
     NOTHING_FLOWN = "none of the plan's steps could be flown"
-    ABORTED_BY_GATE = "the flight ended early: the gate refused what no further step mends, or several steps in a row"
+    ABORTED_BY_GATE = (
+        "the flight ended early: the gate refused for a reason that remains, or refused several steps in a row"
+    )
     BATTERY = "the flight ended early: the battery reached the script's lower limit"
     NOT_SETTLED = "the flight ended early: the vehicle did not settle at the start of several steps in a row"
     TAKE_OVER = "the pilot (or a failsafe) changed the mode; nothing was sent after that"

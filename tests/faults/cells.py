@@ -215,6 +215,7 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool
     reported_unsafe = left in (
         FlightState.TO_AUTOPILOT,
         FlightState.UNKNOWN,
+        FlightState.STILL_ARMED,
         FlightState.LANDING_UNSEEN,
         FlightState.DISARMED,
     )

@@ -9,11 +9,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from flighttest.flight import FlightOutcome, FlightState, LegOutcome
+from flighttest.flight import FlightOutcome, FlightProgress, FlightState, LegOutcome
 from flighttest.flight.execution import supervisor
+from flighttest.flight.execution.landing import ARMED_ON_GROUND, rests_on_ground
 from flighttest.flight.gate import Refusal, lost_control
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import dialect, parser
+from flighttest.mavlink.dialect import dialect, is_armed, parser
 from flighttest.script.model import Limits
 from tests.flight.faulty import GATE, GOOD, LIMITS, FaultyLink, fly, make_leg, make_plan, options
 
@@ -127,6 +128,66 @@ def test_a_vehicle_that_tips_over_in_the_climb_is_landed_at_once(run_dir: Path) 
     assert result.outcome is FlightOutcome.CLIMB_ENDED
     assert any(Refusal.MEASURED_TILT.value in note for note in result.notes)
     assert modes_of(sent) == {CopterMode.LAND}
+
+
+class StaysArmed(FaultyLink):
+    """A vehicle whose HEARTBEAT shows armed for ever once it has been: it does not notice that it lies on the ground."""
+
+    def receive(self, timeout_s: float) -> bytes:
+        found = b""
+        for message in self._read.parse_buffer(super().receive(timeout_s)) or []:
+            if message.get_type() == "HEARTBEAT":
+                self._was |= is_armed(message)
+                message.base_mode |= dialect.MAV_MODE_FLAG_SAFETY_ARMED if self._was else 0
+            found += bytes(message.pack(self._again))
+        return found
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._read, self._again, self._was = parser(1, 1), parser(1, 1), False
+
+
+def test_a_vehicle_that_stays_armed_on_the_ground_is_said_and_how_it_is_disarmed(run_dir: Path) -> None:
+    """Seen on a real ArduCopter with a dead motor: two minutes of "landing", then "whether it is down is not known"."""
+    link = StaysArmed(options())
+    seen: list[FlightProgress] = []
+    result = fly(make_plan(), "sim", run_dir, transport=link, on_progress=seen.append)
+    assert result.outcome is FlightOutcome.NOT_LANDED
+    assert result.left is FlightState.STILL_ARMED
+    assert "disarm it with the transmitter" in result.sentence
+    down_s = next(p.t_s for p in seen if p.doing == "landing" and p.height_m < 0.1 and p.speed_m_s < 0.1)
+    said = [p for p in seen if p.alarm == ARMED_ON_GROUND]
+    assert said[0].t_s - down_s < 8.0
+    assert len(said) > 0.9 * len([p for p in seen if p.t_s > said[0].t_s]), "it stays on the screen"
+
+
+@pytest.mark.parametrize("descent_m_s", [0.3, 0.5])
+def test_no_vehicle_that_lands_is_said_to_lie_on_the_ground(descent_m_s: float, run_dir: Path) -> None:
+    """Down to the slowest descent that ArduCopter's LAND_SPEED allows."""
+    seen: list[FlightProgress] = []
+    link = FaultyLink(options(parameters={"LAND_SPD_MS": descent_m_s}))
+    result = fly(make_plan(), "sim", run_dir, transport=link, on_progress=seen.append)
+    assert result.left is FlightState.LANDED
+    assert ARMED_ON_GROUND not in {p.alarm for p in seen}
+
+
+@pytest.mark.parametrize(("climb_m_s", "rests"), [(0.14, True), (-0.16, False), (0.16, False), (None, False)])
+def test_what_sinks_does_not_lie_on_the_ground(climb_m_s: float | None, rests: bool) -> None:
+    control = SimpleNamespace(gate=GATE)
+    assert rests_on_ground(replace(GOOD, height_m=0.1, climb_m_s=climb_m_s), control) is rests  # type: ignore[arg-type]
+    assert not rests_on_ground(replace(GOOD, height_m=5.0, climb_m_s=0.0), control)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("by_itself", "words"), [(True, "landing: the flight ended early"), (False, "")])
+def test_a_landing_that_was_not_planned_is_an_alarm_with_its_cause(by_itself: bool, words: str, run_dir: Path) -> None:
+    """A battery at its limit: the vehicle came down without a word until it was down."""
+    link = FaultyLink(options())
+    seen: list[FlightProgress] = []
+    limits = replace(LIMITS, voltage_min_v=30.0 if by_itself else 0.0)
+    fly(make_plan(limits=limits), "sim", run_dir, transport=link, on_progress=seen.append, waive=("battery",))
+    found = {p.alarm for p in seen if p.alarm}
+    assert bool(found) is by_itself
+    assert all(text.startswith(words) and "battery" in text for text in found)
 
 
 @pytest.mark.parametrize(

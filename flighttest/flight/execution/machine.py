@@ -34,6 +34,10 @@ class FlightState(Enum):
     TO_AUTOPILOT = (
         "the vehicle is in the air in {mode} and left to its autopilot's failsafes: take it over with the mode switch"
     )
+    STILL_ARMED = (
+        "the vehicle is still armed in {mode}, long after it was asked to land: keep away from it, and disarm it with the transmitter "
+        "once it is down"
+    )
     LANDING_UNSEEN = "the vehicle was landing when it was last heard: whether it is down is not known"
     DISARMED = "the vehicle is disarmed: where it came down was not seen"
     UNKNOWN = "what the vehicle does is not known, it was last heard in {mode}: take it over with the mode switch"
@@ -76,7 +80,7 @@ class Event(Enum):
 S, E, Out = FlightState, Event, FlightOutcome
 ENDS = frozenset(
     {
-        S.NOT_ARMED, S.LANDED, S.WITH_PILOT, S.IN_ABORT_MODE, S.TO_AUTOPILOT, S.LANDING_UNSEEN, S.DISARMED, S.UNKNOWN,
+        S.NOT_ARMED, S.LANDED, S.WITH_PILOT, S.IN_ABORT_MODE, S.TO_AUTOPILOT, S.STILL_ARMED, S.LANDING_UNSEEN, S.DISARMED, S.UNKNOWN,
     }
 )  # fmt: skip
 OURS = frozenset({S.ARMING, S.CLIMBING, S.RETURNING, S.FLYING, S.ASKING, S.HOLDING, S.LANDING, S.OFFERED})
@@ -131,7 +135,7 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         **{(s, E.UPLINK_GONE): Next(s) for s in (S.GROUND, S.OFFERED, S.HANDED, S.LANDING)},  # nothing has to reach the vehicle
         **{(s, E.UPLINK_GONE): Next(S.TO_AUTOPILOT, Out.UPLINK_LOST) for s in (S.ARMING, S.RETURNING, S.ASKING)},
         (S.ASKING, E.GIVEN_UP): Next(S.TO_AUTOPILOT, Out.OPERATOR_ABORT),
-        (S.LANDING, E.NOT_DOWN): Next(S.LANDING_UNSEEN, Out.NOT_LANDED),
+        (S.LANDING, E.NOT_DOWN): Next(S.STILL_ARMED, Out.NOT_LANDED),
         # the end of what the program does, wherever it stands
         (S.GROUND, E.OVER): Next(S.NOT_ARMED),
         (S.ARMING, E.OVER): Next(S.NOT_ARMED),

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 
 from flighttest.errors import LinkError
-from flighttest.flight.execution import climb, reset, supervisor
+from flighttest.flight.execution import climb, landing, reset, supervisor
 from flighttest.flight.execution import legs as flying
 from flighttest.flight.execution.control import FlightControl
 from flighttest.flight.execution.leg_order import LegOrder
@@ -28,7 +28,6 @@ RETRIES = 1  # of a leg that the link interrupted or that did not settle
 _RESET_GUESS_S = 10.0
 CLIMBS_M, CLIMBS_WITHIN_S = 0.3, 4.0  # the built-in vehicle is lower 2 s after the first of two requests
 _VOLTAGE_WAIT_S = 1.0
-_LAND_S = 120.0
 _CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
 PLANS_MAX = 8  # a vehicle that no plan holds for long is flown as it is, with the gate as judge
 HOVER_WARNING = 0.10
@@ -71,13 +70,20 @@ class Scheduler:
         if not self.control.owned:
             return FlightOutcome.LEFT_TO_PILOT if outcome is FlightOutcome.COMPLETED else outcome
         if outcome is not FlightOutcome.OPERATOR_ABORT:
+            self._say_why_it_lands(outcome)
             try:
-                self.land()
+                landing.land(self.control)
             except FlightEnded:
                 if outcome is FlightOutcome.COMPLETED:
                     raise
                 # The outcome is what ended the flight first, not how the landing ended.
         return outcome
+
+    def _say_why_it_lands(self, outcome: FlightOutcome) -> None:
+        """An alarm where it was neither planned nor asked for by the operator."""
+        if outcome not in (FlightOutcome.COMPLETED, FlightOutcome.OPERATOR_STOP):
+            last = self.notes[-1:] if outcome is FlightOutcome.CLIMB_ENDED else []
+            self.control.alarm("; ".join([f"landing: {outcome.value}", *last]))
 
     # -- up and down ---------------------------------------------------------------------------------------------------------
 
@@ -125,7 +131,7 @@ class Scheduler:
                     self._disarm()
             control.cycle()
         if control.owned:
-            self.land()
+            landing.land(control)
 
     def land_after(self, error: LinkError) -> FlightOutcome:
         """Land a vehicle that may be in the air, after a command that was refused or not answered; with what the flight ends."""
@@ -139,7 +145,8 @@ class Scheduler:
         if not control.owned:
             return FlightOutcome.LEFT_TO_PILOT
         self._note(f"landing after: {error.message}")
-        self.land()
+        control.alarm(f"landing after: {error.message}")
+        landing.land(control)
         return FlightOutcome.LINK_LOST if silent else FlightOutcome.VEHICLE_REFUSED
 
     def _disarm(self) -> None:
@@ -153,24 +160,6 @@ class Scheduler:
             return None
         self.notes.append(why_not)
         return FlightOutcome.CLIMB_ENDED
-
-    def land(self) -> None:
-        """LAND where it is; it disarms by itself. FlightEnded where it was not seen to."""
-        control = self.control
-        control.show(doing="landing", next="", phase="", time_left_s=math.nan)
-        deadline = 0.0
-        while not control.machine.state.is_end:
-            if control.machine.state is not FlightState.LANDING:  # or not any more: an earlier request came late
-                supervisor.ask_until_shown(control, (CopterMode.LAND,), self._meanwhile)
-            deadline = deadline or control.session.now_s() + _LAND_S
-            if control.session.now_s() > deadline:
-                control.on(Event.NOT_DOWN)
-            control.cycle()
-        control.recorder.event("note", "landed", control.session.now_s())
-
-    def _meanwhile(self) -> None:
-        if self.control.state.mode == CopterMode.GUIDED_NOGPS:
-            self.control.release()
 
     # -- legs ----------------------------------------------------------------------------------------------------------------
 
