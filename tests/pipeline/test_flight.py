@@ -397,25 +397,29 @@ def declared(tmp_path, **changes):
 
 @pytest.mark.parametrize("gone", [False, True], ids=["file there", "file gone"])
 def test_a_run_is_resumed_as_printed(call, script, tmp_path, monkeypatch, gone):
-    """Also of a vehicle that was given by file and link: both are kept in the run folder."""
+    """Also of a vehicle that was given by file and link: both are kept in the run folder. What its preflight would have refused without is
+    in the command: as printed it was refused on every vehicle whose parameters had been set for the flight."""
     vehicle, flown = declared(tmp_path), []
 
-    def fly(plan, url, folder, _options):
-        flown.append((plan.vehicle.name, url))
+    def fly(plan, url, folder, options):
+        flown.append((plan.vehicle.name, url, options.set_params, options.waive, options.system))
         Recorder(folder, lambda: 0.0, first_manifest(plan, url, "", None), plan)
         return FlightResult(FlightOutcome.OPERATOR_STOP, folder)
 
     monkeypatch.setattr(flying, "fly", fly)
     link = "udpin:127.0.0.1:14777"
     out_dir = tmp_path / "runs"
-    _, out, _ = call("run", script, "--vehicle", vehicle, "--connect", link, "--out", out_dir, "--yes", "--json")
-    printed = re.search(r"`(flighttest run --resume \S+)` flies them", out)
+    asked = "--set-params", "--waive", "rc", "--waive", "fence", "--sysid", "42"
+    _, out, _ = call(
+        "run", script, "--vehicle", vehicle, "--connect", link, "--out", out_dir, *asked, "--yes", "--json"
+    )
+    printed = re.search(r"`(flighttest run --resume [^`]+)` flies them", out)
     assert printed, out
     if gone:
         vehicle.unlink()
     _, out, err = call(*shlex.split(printed[1])[1:], "--yes")
     assert f"flying the vehicle at {link}" in out + err, "and is asked for"
-    assert flown == [("x", link)] * 2, err
+    assert flown == [("x", link, True, ("rc", "fence"), 42)] * 2, err
     assert len(list(out_dir.iterdir())) == 2, "beside the run that it goes on with"
 
 
@@ -440,6 +444,10 @@ def test_the_next_flight_is_printed_with_its_vehicle(tmp_path):
     assert repeating.words_of(tmp_path / "rotor") == " --airframe rotor --hide ground_effect:R2_m2=0.1"
     repeating.keep(tmp_path / "plain", repeating.FlownWith("sim"))
     assert repeating.words_of(tmp_path / "plain") == ""
+    settings = {"set_params": True, "extend_fence": True, "signing_key": tmp_path / "a key", "sysid": 42}
+    repeating.keep(tmp_path / "set", repeating.FlownWith("tcp:127.0.0.1:5760", **settings))
+    words = shlex.split(repeating.words_of(tmp_path / "set"))
+    assert words[2:] == ["--set-params", "--extend-fence", "--signing-key", str(tmp_path / "a key"), "--sysid", "42"]
     data = {"next_flight": "next.yaml", "next_path": "d/next.yaml", "next_options": " --vehicle v.yaml"}
     assert "flighttest run d/next.yaml --vehicle v.yaml" in repr(diagnosis_sections(data, ""))
 

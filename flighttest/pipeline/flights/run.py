@@ -218,7 +218,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         notes += [n for n in ended.notes if n not in notes]
         over = ended.outcome is not FlightOutcome.COMPLETED or not ended.left.is_safe
         lacking = [one.script.name for _, one in due[count + 1 :]] if over else []
-        resume = _resume_command(plan, ended, earlier, [names[k] for k, _ in due[count:]] if lacking else [])
+        resume = _resume_command(plan, ended, earlier, [names[k] for k, _ in due[count:]] if lacking else [], request)
         notes += _unlike_the_plan(plan, ended, earlier, lacking, resume)
         if over:
             break
@@ -250,13 +250,32 @@ def _missing(plan: Plan, ended: FlightResult, earlier: Sequence[Path]) -> int:
     return len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir])) if again else 0
 
 
-def _resume_command(plan: Plan, ended: FlightResult, earlier: Sequence[Path], scripts: Sequence[str]) -> str:
+def _flown_with(request: FlightRequest) -> FlownWith:
+    return FlownWith(
+        target(request),
+        request.vehicle,
+        request.airframe,
+        request.hide,
+        set_params=request.set_params,
+        extend_fence=request.extend_fence,
+        signing_key=request.signing_key,
+        sysid=request.sysid,
+    )
+
+
+def _resume_command(
+    plan: Plan, ended: FlightResult, earlier: Sequence[Path], scripts: Sequence[str], request: FlightRequest
+) -> str:
     """The command that flies what a campaign lacks, '' where that is nothing, or the flight ended neither between two steps nor with a
-    take-over. scripts: the words for this script and those after it, where these were not flown."""
+    take-over. scripts: the words for this script and those after it, where these were not flown. It has what this flight's preflight would
+    have refused without; the vehicle and the link are in the run."""
     resumable = ended.outcome.orderly or ended.outcome is FlightOutcome.TAKE_OVER
     if not resumable or not (scripts or _missing(plan, ended, earlier)):
         return ""
-    return f"flighttest run --resume {shlex.join([str(ended.run_dir), *scripts])}"
+    waived = "".join(f" --waive {shlex.quote(name)}" for name in request.waive)
+    return (
+        f"flighttest run --resume {shlex.join([str(ended.run_dir), *scripts])}{_flown_with(request).settings}{waived}"
+    )
 
 
 def _unlike_the_plan(
@@ -341,7 +360,7 @@ def _report_changes(previous: ModelFile, today: FingerprintData, reported: set[s
 def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightSettings, progress: Progress) -> FlightResult:
     """One script, flown and recorded in a folder. asked: what the flight needs beside the request."""
     with connection(request) as url, counted_interrupts() as stops:
-        keep(folder, FlownWith(target(request), request.vehicle, request.airframe, request.hide))
+        keep(folder, _flown_with(request))
         wanted = replace(
             asked,
             set_params=request.set_params,

@@ -20,12 +20,27 @@ VEHICLE_NAME = "vehicle.yaml"
 
 @dataclass(frozen=True)
 class FlownWith:
-    """The words of a command line for what flies. link: a URL, or the built-in vehicle's name."""
+    """The words of a command line for what flies, and without which the preflight refuses. link: a URL, or the built-in vehicle's name.
+    Waived checks are not among them: those are waived for one flight, and for what goes on with it."""
 
     link: str
     vehicle: Path | None = None
     airframe: str = "paper"
     hide: tuple[str, ...] = ()
+    set_params: bool = False
+    extend_fence: bool = False
+    signing_key: Path | None = None
+    sysid: int | None = None
+
+    @property
+    def settings(self) -> str:
+        """Of `words` those that do not name the vehicle."""
+        options = [
+            name for name, given in (("--set-params", self.set_params), ("--extend-fence", self.extend_fence)) if given
+        ]
+        options += [f"--signing-key {shlex.quote(str(self.signing_key))}"] if self.signing_key is not None else []
+        options += [f"--sysid {self.sysid}"] if self.sysid is not None else []
+        return "".join(f" {option}" for option in options)
 
     @property
     def words(self) -> str:
@@ -36,7 +51,7 @@ class FlownWith:
         if self.airframe != "paper":
             options.append(f"--airframe {shlex.quote(self.airframe)}")
         options += [f"--hide {shlex.quote(one)}" for one in self.hide]
-        return "".join(f" {option}" for option in options)
+        return "".join(f" {option}" for option in options) + self.settings
 
 
 def keep(run_dir: Path, flown: FlownWith) -> None:
@@ -47,6 +62,11 @@ def keep(run_dir: Path, flown: FlownWith) -> None:
         shutil.copyfile(flown.vehicle, run_dir / VEHICLE_NAME)
         data["vehicle"] = str(flown.vehicle.absolute())
     data |= {"airframe": flown.airframe, "hide": list(flown.hide)}
+    data |= {"set_params": flown.set_params, "extend_fence": flown.extend_fence}
+    if flown.signing_key is not None:
+        data["signing_key"] = str(flown.signing_key.absolute())
+    if flown.sysid is not None:
+        data["sysid"] = flown.sysid
     write_whole(run_dir / COMMAND_NAME, write_text(data))
 
 
@@ -62,7 +82,17 @@ def flown_with(run_dir: Path) -> FlownWith | None:
     named = Path(str(data["vehicle"])) if data.get("vehicle") else None
     if named is not None and not named.is_file():
         named = run_dir / VEHICLE_NAME
-    return FlownWith(data["connect"], named, str(data.get("airframe") or "paper"), tuple(map(str, hide or [])))
+    key, sysid = data.get("signing_key"), data.get("sysid")
+    return FlownWith(
+        data["connect"],
+        named,
+        str(data.get("airframe") or "paper"),
+        tuple(map(str, hide or [])),
+        set_params=data.get("set_params") is True,
+        extend_fence=data.get("extend_fence") is True,
+        signing_key=Path(str(key)) if key else None,
+        sysid=sysid if isinstance(sysid, int) else None,
+    )
 
 
 def words_of(run_dir: Path) -> str:
