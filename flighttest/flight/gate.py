@@ -53,7 +53,9 @@ LINK = frozenset({Refusal.LINK, Refusal.UPLINK, Refusal.HELD_UP, Refusal.TELEMET
 SHOWN = frozenset({Refusal.MODE, Refusal.DISARMED})
 """What one HEARTBEAT shows, which may be another vehicle's or damaged: two of them end the flight, one refuses a target."""
 LOST_CONTROL = frozenset({Refusal.MEASURED_TILT, Refusal.ON_GROUND})
-"""What no further step mends: a vehicle whose tilt is not controlled, or that lies on the ground. It is landed, never flown to a start."""
+"""What no further step mends: a vehicle whose tilt is not controlled, or that lies on the ground. It is landed, never flown to a start.
+Two messages in a row show it, as two HEARTBEATs a take-over: one alone may be damaged. (ArduCopter's crash check waits
+2 s before it stops the motors. LAND stops none, and at 50 degrees a vehicle is 23 m away after 2 s.)"""
 
 
 @dataclass(frozen=True)
@@ -184,14 +186,18 @@ def refusal_sentences(found: Sequence[Refusal]) -> tuple[str, ...]:
 
 
 def over_tilted(state: VehicleState, gate: GateLimits) -> bool:
-    """Whether the vehicle is seen to tilt more than the abort limit."""
-    tilt = state.tilt_rad
-    return tilt is not None and not tilt <= gate.limits.tilt_abort_rad + EPSILON
+    """Whether the vehicle is seen to tilt more than the abort limit, by the two latest messages."""
+    limit = gate.limits.tilt_abort_rad + EPSILON
+    tilt, before = state.tilt_rad, state.tilt_before_rad
+    return tilt is not None and not tilt <= limit and (before is None or not before <= limit)
 
 
 def on_ground(state: VehicleState, gate: GateLimits) -> bool:
-    """Whether a vehicle that has taken off is seen nearer to the ground than to the lowest height at which it may be."""
-    return state.height_m is not None and state.height_m < 0.5 * lowest_m(gate)
+    """Whether a vehicle that has taken off is seen nearer to the ground than to the lowest height at which it may be, by the two latest
+    messages."""
+    height, before = state.height_m, state.height_before_m
+    limit = 0.5 * lowest_m(gate)
+    return height is not None and height < limit and (before is None or before < limit)
 
 
 def lost_control(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:

@@ -31,7 +31,8 @@ class VehicleState:
     voltage_v: mean of the last 2 s. height_m: above home. throttle_stick: 0..1 of the pilot's stick, None without RC.
     silence_s: since anything was heard;
     uplink_silence_s: since anything that we sent is known to have arrived.
-    position_ok: horizontal position is usable, by the EKF's flags. ekf_ok: attitude and vertical estimates are.
+    position_ok: horizontal position is usable, by the EKF's flags. ekf_ok: attitude and vertical estimates are. tilt_before_rad,
+    height_before_m: by the message before the latest one, None where there was none.
     """
 
     t_s: float
@@ -51,18 +52,37 @@ class VehicleState:
     throttle_stick: float | None = None
     silence_s: float = 0.0
     uplink_silence_s: float = 0.0
+    tilt_before_rad: float | None = None
+    height_before_m: float | None = None
 
     @property
     def tilt_rad(self) -> float | None:
         """Angle between the thrust axis and the vertical."""
-        if self.attitude_rad is None:
-            return None
-        return math.acos(min(math.cos(self.attitude_rad[0]) * math.cos(self.attitude_rad[1]), 1.0))
+        return None if self.attitude_rad is None else _tilt_rad(self.attitude_rad)
 
     @property
     def speed_m_s(self) -> float | None:
         """Speed over ground, three-dimensional."""
         return None if self.velocity_m_s is None else math.hypot(*self.velocity_m_s)
+
+
+def _tilt_rad(attitude_rad: tuple[float, float, float]) -> float:
+    return math.acos(min(math.cos(attitude_rad[0]) * math.cos(attitude_rad[1]), 1.0))
+
+
+class _Before:
+    """The value of the message before the latest one."""
+
+    def __init__(self) -> None:
+        self._message: Message | None = None
+        self._value: float | None = None
+        self._before: float | None = None
+
+    def of(self, message: Message | None, value: float | None) -> float | None:
+        """Take in the latest message's value; the one before it."""
+        if message is not None and message is not self._message:
+            self._before, self._message, self._value = self._value, message, value
+        return self._before
 
 
 class StateReader:
@@ -78,6 +98,7 @@ class StateReader:
         self._climbed_m = 0.0
         self._climb_heard_s: float | None = None
         self._ground_hpa: float | None = None
+        self._tilts, self._heights = _Before(), _Before()
         session.listen(self._listen)
 
     def _listen(self, message: Message, t_s: float) -> None:
@@ -108,11 +129,11 @@ class StateReader:
             self._climbed_m += climb_m_s * min(t_s - self._climb_heard_s, _FRESH_S)
         self._climb_heard_s = t_s
 
-    def _group(self, group: str) -> tuple[dict[str, float], float]:
-        """The freshest values of a group by order of preference, and their age, s."""
+    def _group(self, group: str) -> tuple[dict[str, float], float, Message | None]:
+        """The freshest values of a group by order of preference, their age, s, and the message that they are from."""
         return self._group_named(group, tuple(rule.message for rule in rules_of(group)))
 
-    def _group_named(self, group: str, messages: tuple[str, ...]) -> tuple[dict[str, float], float]:
+    def _group_named(self, group: str, messages: tuple[str, ...]) -> tuple[dict[str, float], float, Message | None]:
         now = self._session.now_s()
         best: tuple[Rule, float] | None = None
         for rule in rules_of(group):
@@ -126,16 +147,18 @@ class StateReader:
             if best is None or age < best[1]:
                 best = (rule, age)
         if best is None:
-            return {}, math.inf
-        values = columns_of(best[0], self._session.latest[best[0].message].message)
-        return (values, best[1]) if values is not None else ({}, math.inf)
+            return {}, math.inf, None
+        message = self._session.latest[best[0].message].message
+        values = columns_of(best[0], message)
+        return (values, best[1], message) if values is not None else ({}, math.inf, None)
 
     def read(self) -> VehicleState:
         """The state now."""
         session = self._session
         now = session.now_s()
         beat = session.latest.get("HEARTBEAT")
-        attitude, attitude_age = self._group("attitude")
+        angles, attitude_age, attitude_of = self._group("attitude")
+        attitude = (angles["roll_rad"], angles["pitch_rad"], angles["yaw_rad"]) if angles else None
         local = session.latest.get("LOCAL_POSITION_NED")
         position = velocity = None
         position_age = math.inf
@@ -145,7 +168,7 @@ class StateReader:
             position = tuple(float(x) for x in np.array([p[n] for n in names("position")]) - self.origin_m)
             velocity = tuple(v[n] for n in names("velocity"))
             position_age = now - local.t_s
-        height, climb = self._vertical(now, position, velocity, position_age)
+        height, climb, height_of = self._vertical(now, position, velocity, position_age)
         heard = bool(self._voltages) and now - self._voltages[-1][0] <= VOLTAGE_LOST_S
         voltages = [v for _, v in self._voltages] if heard else []
         ekf = session.latest.get("EKF_STATUS_REPORT")
@@ -160,7 +183,7 @@ class StateReader:
             mode=int(beat.message.custom_mode) if beat else -1,
             armed=beat is not None and is_armed(beat.message),
             mode_age_s=now - beat.t_s if beat else math.inf,
-            attitude_rad=(attitude["roll_rad"], attitude["pitch_rad"], attitude["yaw_rad"]) if attitude else None,
+            attitude_rad=attitude,
             attitude_age_s=attitude_age,
             velocity_m_s=velocity,  # type: ignore[arg-type]  # three names, three values
             position_m=position,  # type: ignore[arg-type]
@@ -173,6 +196,8 @@ class StateReader:
             throttle_stick=self._throttle_stick(),
             silence_s=session.silence_s,
             uplink_silence_s=session.uplink_silence_s,
+            tilt_before_rad=self._tilts.of(attitude_of, _tilt_rad(attitude) if attitude else None),
+            height_before_m=self._heights.of(height_of, height),
         )
 
     @staticmethod
@@ -182,29 +207,31 @@ class StateReader:
 
     def _vertical(
         self, now: float, position: tuple[float, ...] | None, velocity: tuple[float, ...] | None, age: float
-    ) -> tuple[float | None, float | None]:
-        """Height above home and climb rate by what there is: local position, else a rangefinder, a fix, air pressure, summed climb."""
+    ) -> tuple[float | None, float | None, Message | None]:
+        """Height above home, climb rate, and the message of the height, by what there is: local position, else a rangefinder, a fix, air
+        pressure, summed climb."""
         if position is not None and velocity is not None and age < _FRESH_S:
             self.height_source = "the position estimate"
-            return position[2], velocity[2]
+            return position[2], velocity[2], self._session.latest["LOCAL_POSITION_NED"].message
         climb = self._fresh("VFR_HUD", now)
         climb_m_s = float(climb.climb) if climb is not None else None
-        ground, ground_age = self._group_named("height", ("RANGEFINDER", "DISTANCE_SENSOR"))
+        ground, ground_age, ground_of = self._group_named("height", ("RANGEFINDER", "DISTANCE_SENSOR"))
         fix = self._fresh("GLOBAL_POSITION_INT", now)
         if ground and ground_age < _FRESH_S:
             self.height_source = "a rangefinder"
-            return ground["height_m"], climb_m_s
+            return ground["height_m"], climb_m_s, ground_of
         if fix is not None and (fix.lat or fix.lon):
             self.height_source = "the height above home"
-            return fix.relative_alt * 1e-3, climb_m_s
+            return fix.relative_alt * 1e-3, climb_m_s, fix
         air = self._fresh("SCALED_PRESSURE", now)
         if air is not None and self._ground_hpa is not None:
             self.height_source = "air pressure"
-            return _PRESSURE_SCALE_M * (1.0 - (air.press_abs / self._ground_hpa) ** _PRESSURE_EXPONENT), climb_m_s
+            height_m = _PRESSURE_SCALE_M * (1.0 - (air.press_abs / self._ground_hpa) ** _PRESSURE_EXPONENT)
+            return height_m, climb_m_s, air
         if climb is not None:
             self.height_source = "the climb rate, summed up"
-            return self._climbed_m, climb_m_s
-        return None, None
+            return self._climbed_m, climb_m_s, climb
+        return None, None, None
 
     def _fresh(self, name: str, now: float) -> Message | None:
         heard = self._session.latest.get(name)

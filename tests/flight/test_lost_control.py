@@ -78,6 +78,62 @@ def modes_of(sent: list[tuple[float, str, int]]) -> set[int]:
     return {mode for _, _, mode in sent if mode >= 0}
 
 
+class Damaged(FaultyLink):
+    """Some frames are damaged and pass the checksum all the same, as one of 65536 damaged ones does. count: how many in a row, after
+    `skip` that are whole."""
+
+    count, skip, what = 1, 0, "tilt"
+
+    def receive(self, timeout_s: float) -> bytes:
+        found = b""
+        for message in self._read.parse_buffer(super().receive(timeout_s)) or []:
+            kind = message.get_type()
+            if self.began and self.count and kind == ("ATTITUDE" if self.what == "tilt" else "LOCAL_POSITION_NED"):
+                self.skip -= 1
+                if self.skip < 0:
+                    self.count -= 1
+                    message.roll, message.z = TIPPED_RAD, -0.1  # each has one of them
+            found += bytes(message.pack(self._again))
+        return found
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._read, self._again, self.began = parser(1, 1), parser(1, 1), False
+
+
+@pytest.mark.parametrize("what", ["tilt", "height"])
+@pytest.mark.parametrize("word", ["step", "end"])
+@pytest.mark.parametrize(
+    ("count", "skip", "outcome"),
+    [
+        (1, 0, FlightOutcome.COMPLETED),
+        (1, 1, FlightOutcome.COMPLETED),
+        (4, 0, FlightOutcome.ABORTED_BY_GATE),
+    ],
+)
+def test_one_damaged_frame_ends_no_flight(
+    count: int, skip: int, outcome: FlightOutcome, word: str, what: str, run_dir: Path
+) -> None:
+    """As one HEARTBEAT ends none. Two in a row do: of ATTITUDE at 100 Hz every second one is looked at."""
+    link = Damaged(options())
+    link.count, link.skip, link.what = count, skip, what
+    at(link, word, lambda there: setattr(there, "began", True))  # type: ignore[arg-type]
+    result = fly(make_plan(make_leg("a"), make_leg("b")), "sim", run_dir, transport=link)
+    assert link.count == 0
+    assert result.outcome is outcome, result.sentence
+
+
+@pytest.mark.parametrize(
+    ("now", "before", "lost"), [(1.0, None, True), (1.0, 0.5, False), (0.5, 1.0, False), (1.0, 1.0, True)]
+)
+def test_two_messages_in_a_row_show_a_lost_control(now: float, before: float | None, lost: bool) -> None:
+    """now, before: share of what is lost, of tilt beyond its limit and of height below its own."""
+    tilted = replace(GOOD, attitude_rad=(now, 0.0, 0.0), tilt_before_rad=before)
+    assert lost_control(tilted, GATE) == ((Refusal.MEASURED_TILT,) if lost else ())
+    low = replace(GOOD, height_m=1.5 - now, height_before_m=None if before is None else 1.5 - before)
+    assert lost_control(low, GATE) == ((Refusal.ON_GROUND,) if lost else ())
+
+
 def test_a_tilt_beyond_the_limit_ends_the_flight_with_land(run_dir: Path) -> None:
     link = Tipping(options())
     sent = at(link, "step", tips_over)
