@@ -9,6 +9,7 @@ import pytest
 
 from flighttest.errors import LinkError
 from flighttest.flight import FlightProgress, LegOutcome
+from flighttest.flight.execution.control import NOT_ANSWERED, NOT_HEARD
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import dialect, parser
 from flighttest.plan import AttitudeTarget
@@ -64,6 +65,22 @@ def test_what_is_old_is_not_shown_as_where_the_vehicle_is(run_dir: Path) -> None
     }
     flown = [p for p in seen if p.silence_s < 0.3 and p.height_m > 3.0]
     assert all(p.place_m is not None and p.zone_margin_m > 0.0 for p in flown)
+
+
+@pytest.mark.parametrize(("both", "words", "within_s"), [(True, NOT_HEARD, 7.0), (False, NOT_ANSWERED, 12.0)])
+def test_a_pilot_is_asked_to_take_over_while_the_link_is_lost(
+    both: bool, words: str, within_s: float, run_dir: Path
+) -> None:
+    """Flown on a real ArduCopter: it hovered for 30 s, and the last alarm was that a step had been stopped."""
+    link = FaultyLink(options())
+    began = marked(link, " step")
+    link.deaf = lambda t: bool(began) and t > began[0] + 0.1
+    link.mute = lambda t: both and bool(began) and t > began[0] + 0.1
+    seen: list[FlightProgress] = []
+    fly(make_plan(), "sim", run_dir, transport=link, on_progress=seen.append)
+    said = [p.t_s for p in seen if p.alarm == words]
+    assert said[0] - began[0] < within_s
+    assert len(said) > 0.9 * len([p for p in seen if p.t_s > said[0]]), "as long as it is lost"
 
 
 @pytest.mark.parametrize("duration_s", [1.5, 4.0])

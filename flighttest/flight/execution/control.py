@@ -30,6 +30,8 @@ from flighttest.plan import AttitudeTarget
 UNSURE_S = (
     0.3  # without an answer: a question in 0.25 s (session.TIMESYNC_EVERY_S), and 50 ms for the way there and back
 )
+NOT_HEARD = "the vehicle is not heard any more: PILOT, take over with the mode switch"
+NOT_ANSWERED = "the vehicle does not answer any more: PILOT, take over with the mode switch"
 AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for less delays no target
 CONFIRMED_WITHIN_S = 2.5  # after a HEARTBEAT that contradicts those before: the next one comes within a second
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
@@ -226,6 +228,8 @@ class FlightControl:
             self._link = link
             if link in BROKEN:
                 self.recorder.event("note", f"link: {link.value}", self.state.t_s)
+        if link in BROKEN and self.machine.ours:
+            self.alarm(NOT_HEARD if link is LinkState.LOST else NOT_ANSWERED)
         text = self.streams.keep() if self.machine.ours else ""
         if text:
             self.recorder.event("note", text, self.state.t_s)
@@ -348,8 +352,8 @@ class FlightControl:
 
     def alarm(self, text: str) -> None:
         """Alarm the operator now, with a sound where there is one and the same was not said while an alarm is shown."""
-        self._view.alarm(text)
-        self._report(at_once=True)
+        if self._view.alarm(text):
+            self._report(at_once=True)
 
     def _report(self, at_once: bool = False) -> None:
         handed = self.machine.state is FlightState.HANDED

@@ -33,14 +33,15 @@ class LiveView:
         """Change what is shown: fields of FlightProgress."""
         self._progress = replace(self._progress, **changes)
 
-    def alarm(self, text: str) -> None:
-        """Show an alarm; one more of them unless the same began while one is shown."""
+    def alarm(self, text: str) -> bool:
+        """Show an alarm. Whether it is a new one: not where the same began while one is shown."""
         now, shown_s = self._session.now_s(), ALARM_S * self._pace
         again = now - self._alarmed_s.get(text, -math.inf) < shown_s
         if not again:
             self._alarmed_s[text] = now
         self.show(alarm=text, alarms=self._progress.alarms + (not again))
         self._alarm_over_s = now + shown_s
+        return not again
 
     def report(self, state: VehicleState, gate: GateLimits, *, at_once: bool, stopping: bool, how_to_stop: str) -> None:
         """Report the progress where it is time to, or at once."""
