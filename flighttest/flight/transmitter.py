@@ -65,6 +65,11 @@ class ModeSwitch:
         self._position: int | None = None
         self._other: tuple[int, float] | None = None  # and since when it is seen
 
+    @property
+    def position(self) -> int | None:
+        """Of six, from 1, as FLTMODE1 to FLTMODE6 count them; None before one is seen."""
+        return None if self._position is None else self._position + 1
+
     def moved(self, message: Message, t_s: float) -> bool:
         """Whether this message shows the switch in another position than before, as it did for `STAYS_S`."""
         position = self._shown(message)

@@ -7,11 +7,14 @@ from pathlib import Path
 import pytest
 
 from flighttest.flight import FlightOutcome, FlightState
+from flighttest.flight.execution.machine import Event
 from flighttest.flight.transmitter import BACK, LOST, ModeSwitch, Transmitter
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import Message, dialect, parser
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run
+from tests.faults.cells import fly_cell
+from tests.faults.proxy import Fault, When
 from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 RECEIVER = dialect.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
@@ -131,9 +134,22 @@ def test_a_pilot_who_chooses_the_mode_that_is_held_already_has_taken_over(lost: 
     )
     assert asked
     assert not any("move the mode switch again" in text for text in alarms), "the mode is the pilot's own"
+    assert any("in BRAKE (the pilot moved the mode switch)" in text for text in alarms) is not lost
     if lost:
         assert result.left is FlightState.LANDED
     else:
         assert result.outcome is FlightOutcome.TAKE_OVER
         assert modes == []
         assert link.sim.vehicle.mode == CopterMode.BRAKE
+
+
+@pytest.mark.parametrize("latency_s", [0.3, 0.5])
+def test_a_request_that_arrives_after_the_switch_was_moved_is_said(latency_s: float, run_dir: Path) -> None:
+    """The pilot switches to GUIDED, in which the vehicle is, as the request for GUIDED_NOGPS leaves: the vehicle follows the request, which
+    arrives last. It was said to be the pilot's, in GUIDED_NOGPS, which no pilot had chosen."""
+    fault = Fault("pilot", 60.0, latency_s=latency_s, pilot_mode=CopterMode.GUIDED, pilot_after_s=0.0)
+    cell = fly_cell(fault, When.ENTERING, run_dir)
+    assert cell.ended == "TAKE_OVER, TO_AUTOPILOT"
+    assert (FlightState.WITH_PILOT, Event.OVERRULED) in cell.changes
+    late = "the vehicle is in GUIDED_NOGPS by a request that was under way at the take-over: move the mode switch again"
+    assert late in [m.label for m in open_run(run_dir).markers]

@@ -34,6 +34,7 @@ NOT_HEARD = "the vehicle is not heard any more: PILOT, take over with the mode s
 NOT_ANSWERED = "the vehicle does not answer any more: PILOT, take over with the mode switch"
 AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for less delays no target
 CONFIRMED_WITHIN_S = 2.5  # after a HEARTBEAT that contradicts those before: the next one comes within a second
+UNLIKE_BEATS = 2  # in a row, as for a take-over; the first after the switch was seen may be of before
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
 UPLINK_GIVE_UP_S = 60.0  # heard, but without an answer: as long as it may come back it is asked to land
 
@@ -100,6 +101,9 @@ class FlightControl:
         self.streams: StreamRates | None = None
         self._transmitter = Transmitter()
         self.mode_switch = ModeSwitch()
+        self._switch_modes: dict[int, int] = {}  # by its position
+        self._chosen: int | None = None  # by the switch that took over
+        self._unlike = 0  # HEARTBEATs in a row that show another
         self._link = LinkState.SEARCHING
         self.session.listen(self._watch)
 
@@ -119,6 +123,7 @@ class FlightControl:
         """The transmitter's channels by the vehicle's parameters."""
         self.reader.throttle_channel = int(parameters.get("RCMAP_THROTTLE", self.reader.throttle_channel))
         self.mode_switch.channel = int(parameters.get("FLTMODE_CH", self.mode_switch.channel))
+        self._switch_modes = {n: int(parameters[f"FLTMODE{n}"]) for n in range(1, 7) if f"FLTMODE{n}" in parameters}
 
     @property
     def owned(self) -> bool:
@@ -168,7 +173,10 @@ class FlightControl:
             self.machine.on(Event.ARMED)
             self.alarm(f"the vehicle is armed in {mode_name(mode)} by a request that was under way at the take-over")
         late = mode in self.session.mode_requests.open and mode != self._mode
-        if self.machine.state is not FlightState.WITH_PILOT or not late:
+        # Taken over by the switch, and still in a mode of ours that is not the switch's: the request arrived after the pilot's change.
+        unlike = self._chosen is not None and mode == self._mode != self._chosen
+        self._unlike = self._unlike + 1 if unlike else 0
+        if self.machine.state is not FlightState.WITH_PILOT or not (late or self._unlike >= UNLIKE_BEATS):
             return
         self.machine.on(Event.OVERRULED)
         text = f"the vehicle is in {mode_name(mode)} by a request that was under way at the take-over: move the mode switch again"
@@ -209,6 +217,7 @@ class FlightControl:
             self.recorder.event("take_over", mode_name(shown.mode), t_s, {"mode": shown.mode})
             who = "the pilot moved the mode switch" if by_switch else "by the pilot, a failsafe, the fence or a station"
             self._mode = shown.mode
+            self._chosen = self._switch_modes.get(self.mode_switch.position or 0) if by_switch else None
             self.alarm(
                 f"in {mode_name(shown.mode)} ({who}): nothing is sent any more; PILOT, take over with the mode switch"
             )

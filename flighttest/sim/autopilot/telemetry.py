@@ -229,9 +229,16 @@ def _extended_state(v: TelemetrySource) -> bytes:
 def _rc_channels(v: TelemetrySource) -> bytes:
     if v.store["SIM_RC_FAIL"]:
         return v.encoder.message(dialect.MAVLink_rc_channels_message(_ms(v), 0, *([_U16] * 18), 0))
-    switch = 1000 if v.store["SIM_PILOT_MODE"] < 0 else 1300
+    switch = 1000 if v.store["SIM_PILOT_MODE"] < 0 else _switch_us(v)
     sticks = [1500, 1500, int(v.store["SIM_PILOT_THR"]), 1500, switch, 1500, 1500, 1500] + [0] * 10
     return v.encoder.message(dialect.MAVLink_rc_channels_message(_ms(v), 16, *sticks, 254))
+
+
+def _switch_us(v: TelemetrySource) -> int:
+    """The mode switch at the position of the pilot's mode; at the second one where no position has it."""
+    modes = [v.store[f"FLTMODE{n}"] for n in range(1, 7)]
+    place = modes.index(v.store["SIM_PILOT_MODE"], 1) if v.store["SIM_PILOT_MODE"] in modes[1:] else 1
+    return (1165, 1300, 1425, 1555, 1685, 1815)[place]
 
 
 def _servo(v: TelemetrySource) -> bytes:
