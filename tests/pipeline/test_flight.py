@@ -26,6 +26,7 @@ from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
 from flighttest.pipeline.flights import run as flying
+from flighttest.pipeline.flights.missing import unflown_steps
 from flighttest.pipeline.planning.checking import plans, predictor_for
 from flighttest.pipeline.results import Status
 from flighttest.pipeline.store import flown_with as repeating
@@ -342,7 +343,7 @@ def test_steps_that_were_not_flown_are_named_with_the_reason():
         LegResult("a/r3", LegOutcome.LEFT_OUT),
     )
     ended = FlightResult(FlightOutcome.COMPLETED, Path("run"), legs, (), {})
-    assert flying.unflown_steps(ended) == [
+    assert unflown_steps(ended) == [
         f"a/r1 and 1 more not flown: {LegOutcome.REFUSED.value}: {high}",
         f"a/r3 not flown: {LegOutcome.LEFT_OUT.value}",
     ]
@@ -401,7 +402,7 @@ def test_a_run_is_resumed_as_printed(call, script, tmp_path, monkeypatch, gone):
     in the command: as printed it was refused on every vehicle whose parameters had been set for the flight."""
     vehicle, flown = declared(tmp_path), []
 
-    def fly(plan, url, folder, options):
+    def fly(plan, url, folder, options, **_link):
         flown.append((plan.vehicle.name, url, options.set_params, options.waive, options.system))
         Recorder(folder, lambda: 0.0, first_manifest(plan, url, "", None), plan)
         return FlightResult(FlightOutcome.OPERATOR_STOP, folder)
@@ -423,10 +424,17 @@ def test_a_run_is_resumed_as_printed(call, script, tmp_path, monkeypatch, gone):
     assert len(list(out_dir.iterdir())) == 2, "beside the run that it goes on with"
 
 
+@pytest.mark.parametrize("url", ["nonsense", "tcp:127.0.0.1:1", "serial:/dev/no-such-port:57600"])
+def test_a_link_that_cannot_be_opened_leaves_no_run_folder(call, script, tmp_path, url):
+    code, _, _ = call("run", script, "--connect", url, "--out", tmp_path / "runs", "--yes")
+    assert code in (1, 2)
+    assert not list(tmp_path.glob("runs/*"))
+
+
 def test_what_a_take_over_left_out_can_be_flown_when_the_vehicle_is_down(call, script, tmp_path, monkeypatch):
     """No command was printed, though a run that ended so can be resumed."""
 
-    def fly(plan, url, folder, _options):
+    def fly(plan, url, folder, _options, **_link):
         Recorder(folder, lambda: 0.0, first_manifest(plan, url, "", None), plan)
         return FlightResult(FlightOutcome.TAKE_OVER, folder, left=FlightState.WITH_PILOT, mode="LOITER")
 

@@ -11,12 +11,14 @@ from pathlib import Path
 
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, ScriptError
-from flighttest.flight import FlightOutcome, FlightResult, FlightSettings, FlightState, LegOutcome, fly
+from flighttest.flight import FlightOutcome, FlightResult, FlightSettings, LegOutcome, fly
 from flighttest.flight.preparation import preflight
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
+from flighttest.link.transport import open_transport
 from flighttest.pipeline.flights.after_landing import Landed, analyse
 from flighttest.pipeline.flights.interrupts import counted_interrupts
+from flighttest.pipeline.flights.missing import record_lacks, resume_command, unlike_the_plan
 from flighttest.pipeline.planning.checking import plans, prior_model
 from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.pipeline.recordings.fingerprints import of_vehicle
@@ -193,6 +195,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     before = flown_in(earlier)
     due = [(k, plan) for k, plan in enumerate(compiled) if not {leg.id for leg in plan.legs} <= before]
     resume = ""
+    asked_again = _flown_with(request).settings + "".join(f" --waive {shlex.quote(name)}" for name in request.waive)
     for count, (index, plan) in enumerate(due):
         try:
             behind = left_behind(request.out, plan.vehicle.name)
@@ -218,8 +221,10 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         notes += [n for n in ended.notes if n not in notes]
         over = ended.outcome is not FlightOutcome.COMPLETED or not ended.left.is_safe
         lacking = [one.script.name for _, one in due[count + 1 :]] if over else []
-        resume = _resume_command(plan, ended, earlier, [names[k] for k, _ in due[count:]] if lacking else [], request)
-        notes += _unlike_the_plan(plan, ended, earlier, lacking, resume)
+        resume = resume_command(
+            plan, ended, earlier, [names[k] for k, _ in due[count:]] if lacking else [], asked_again
+        )
+        notes += unlike_the_plan(plan, ended, earlier, lacking, resume)
         if over:
             break
     usable = len(ends) == len(due) and all(e.as_planned and not e.incomplete for e in ends)
@@ -236,18 +241,10 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         why = f"not analysed: {error.message if isinstance(error, FlighttestError) else error.strerror or error}"
         progress.stage(why)
         return _flown(compiled, folders, ends, [*notes, why], False)
-    if not _lacking(ends):
+    if not record_lacks(ends):
         return found
-    page = replace(found.document, verdict=f"{_lacking(ends)} {found.document.verdict}", tone="bad")
+    page = replace(found.document, verdict=f"{record_lacks(ends)} {found.document.verdict}", tone="bad")
     return replace(found, document=page)
-
-
-def _missing(plan: Plan, ended: FlightResult, earlier: Sequence[Path]) -> int:
-    """How many steps of a plan no flight has, where another flight may help. earlier: the runs it goes on with."""
-    again = ended.outcome is not FlightOutcome.COMPLETED or any(
-        leg.outcome in (LegOutcome.NOT_SETTLED, LegOutcome.LINK_LOST) for leg in ended.legs
-    )
-    return len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir])) if again else 0
 
 
 def _flown_with(request: FlightRequest) -> FlownWith:
@@ -261,56 +258,6 @@ def _flown_with(request: FlightRequest) -> FlownWith:
         signing_key=request.signing_key,
         sysid=request.sysid,
     )
-
-
-def _resume_command(
-    plan: Plan, ended: FlightResult, earlier: Sequence[Path], scripts: Sequence[str], request: FlightRequest
-) -> str:
-    """The command that flies what a campaign lacks, '' where that is nothing, or the flight ended neither between two steps nor with a
-    take-over. scripts: the words for this script and those after it, where these were not flown. It has what this flight's preflight would
-    have refused without; the vehicle and the link are in the run."""
-    resumable = ended.outcome.orderly or ended.outcome is FlightOutcome.TAKE_OVER
-    if not resumable or not (scripts or _missing(plan, ended, earlier)):
-        return ""
-    waived = "".join(f" --waive {shlex.quote(name)}" for name in request.waive)
-    return (
-        f"flighttest run --resume {shlex.join([str(ended.run_dir), *scripts])}{_flown_with(request).settings}{waived}"
-    )
-
-
-def _unlike_the_plan(
-    plan: Plan, ended: FlightResult, earlier: Sequence[Path], lacking: Sequence[str], resume: str
-) -> list[str]:
-    """What a flight lacks of its plan, and a campaign of its scripts, with the command that flies it where that may help."""
-    notes = [] if ended.as_planned else [f"{plan.script.name}: {ended.sentence}"]
-    missing = _missing(plan, ended, earlier) if resume else 0
-    parts = [f"{missing} of {len(plan.legs)} steps are missing"] if missing else []
-    if lacking:
-        parts.append(f"{join(list(lacking))} {'was' if len(lacking) == 1 else 'were'} not flown")
-    if parts:
-        down = ended.left in (FlightState.LANDED, FlightState.NOT_ARMED)
-        when = "" if down else " when the vehicle is down"
-        flies = f": `{resume}` flies {'what is missing' if lacking else 'them'}{when}" if resume else ""
-        notes.append(f"{', '.join(parts)}{flies}")
-    return [*notes, *unflown_steps(ended)]
-
-
-def _lacking(ends: Sequence[FlightResult]) -> str:
-    """A sentence where a disk did not take the whole record; else ''."""
-    found = "; ".join(e.incomplete for e in ends if e.incomplete)
-    return f"The record is not complete: {found}." if found else ""
-
-
-def unflown_steps(ended: FlightResult) -> list[str]:
-    """Why steps that were tried are missing: one sentence for each reason."""
-    flown = {leg.leg for leg in ended.legs if leg.outcome is LegOutcome.FLOWN}
-    reasons: dict[str, list[str]] = {}
-    for leg in {leg.leg: leg for leg in ended.legs if leg.leg not in flown}.values():
-        reasons.setdefault(": ".join([leg.outcome.value, *leg.why[:1]]), []).append(leg.leg)
-    return [
-        f"{legs[0]}{f' and {len(legs) - 1} more' if len(legs) > 1 else ''} not flown: {reason}"
-        for reason, legs in reasons.items()
-    ]
 
 
 def _known_waivers(names: Sequence[str]) -> None:
@@ -360,6 +307,7 @@ def _report_changes(previous: ModelFile, today: FingerprintData, reported: set[s
 def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightSettings, progress: Progress) -> FlightResult:
     """One script, flown and recorded in a folder. asked: what the flight needs beside the request."""
     with connection(request) as url, counted_interrupts() as stops:
+        link = open_transport(url)  # before the run has a folder: one that cannot be opened leaves none behind
         keep(folder, _flown_with(request))
         wanted = replace(
             asked,
@@ -374,7 +322,7 @@ def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightSettings
             system=request.sysid or asked.system,
             confirm=request.confirm,
         )
-        ended = fly(plan, url, folder, wanted)
+        ended = fly(plan, url, folder, wanted, transport=link)
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
     progress.stage(f"{plan.script.name}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
     return ended
@@ -392,7 +340,7 @@ def _flown(
     if notes:
         blocks.append(Bullets(tuple(notes)))
     verdict = "Recorded." if usable else "The flight did not end as planned; what was recorded is kept."
-    verdict = _lacking(ends) or verdict
+    verdict = record_lacks(ends) or verdict
     data = {
         "runs": [str(f) for f in folders],
         "flights": [
