@@ -156,7 +156,7 @@ def _draw(seed: int, index: int, here: Mapping[RecordedSet, Sequence[str]]) -> R
         order=tuple(order) if number else (),
         sizes=tuple(math.exp(rng.uniform(low, high)) for _ in range(number)),
         signs=tuple(float(rng.choice([-1.0, 1.0])) for _ in range(3)),
-        answer_1_s=math.exp(rng.uniform(*map(math.log, ANSWER_1_S))),
+        answer_1_s=math.exp(rng.uniform(math.log(ANSWER_1_S[0]), math.log(ANSWER_1_S[1]))),
         begin=float(rng.random()),
     )
 
