@@ -102,7 +102,7 @@ def test_of_several_vehicles_in_a_folder_the_model_is_of_the_one_asked_about(tmp
     assert lineage.in_use(tmp_path, "stork").runs == ("2-thrust",)
     with pytest.raises(InputError, match="holds 2 vehicles: heron and stork"):
         lineage.in_use(tmp_path)
-    with pytest.raises(InputError, match="no run of a vehicle called crow"):
+    with pytest.raises(InputError, match="a run with a fit of a vehicle called crow"):
         lineage.in_use(tmp_path, "crow")
 
 

@@ -6,9 +6,9 @@ import pandas as pd
 from flighttest.pipeline.identification.fitting import fit
 
 
-def hover(folder):
-    """20 s in which nothing is asked for and nothing moves but the noise of the instruments, which drowns what the throttle does."""
-    rng, t = np.random.default_rng(3), np.arange(0.0, 20.0, 0.02)
+def hover(folder, seconds=3.5):
+    """Nothing is asked for and nothing moves but the noise of the instruments, which drowns what the throttle does."""
+    rng, t = np.random.default_rng(3), np.arange(0.0, seconds, 0.02)
     noise = {
         "roll_rad": 0.02,
         "pitch_rad": 0.02,
@@ -31,6 +31,15 @@ def test_a_fit_that_determines_nothing_gives_the_reasons(tmp_path):
     (bullets,) = first.blocks
     assert 3 <= len(bullets.items) <= 10
     assert "flighttest run roll_pitch" in " ".join(bullets.items)
+
+
+def test_a_hover_shows_the_gain_that_carries_the_vehicle_and_nothing_else(tmp_path):
+    """It was not identifiable by output error, beside a constant force that nothing measures."""
+    fitted = fit([hover(tmp_path, 20.0)]).value
+    known = {n: e for n, e in fitted.estimates.items() if e.identifiable}
+    assert list(known) == ["K"]
+    low, high = known["K"].interval_95
+    assert low < 9.80665 / 0.2 < high
 
 
 def test_a_fit_that_determines_something_gives_no_such_list(flight_csv):
