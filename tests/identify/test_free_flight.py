@@ -10,6 +10,7 @@ from flighttest.errors import FitError
 from flighttest.estimation.gauss_newton import minimise
 from flighttest.frames import rotation_from_euler
 from flighttest.identify.diagnostics.identifiability import allowance
+from flighttest.identify.fit import fit
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.identify.free_flight.chunks import Chunks
 from flighttest.identify.free_flight.equations import Equations
@@ -145,6 +146,14 @@ def test_what_few_blocks_show_is_known_by_its_interval():
     for name, e in made.estimates.items():
         if e.identifiable and e.interval_95 is not None and name in TRUTH:
             assert np.ptp(e.interval_95) / 2 < 1.96 * allowance(made.model.param[name], e.value), name
+
+
+def test_of_output_error_too_the_interval_decides_what_is_known():
+    """0.26 +- 0.15 1/s at 3 degrees of freedom: its standard error of 0.046 is below what drag may have, and its interval is not."""
+    drag = fit(flight(15.0, 22, gust=0.1), Model(attitude_loops=False)).estimates["d_y"]
+    assert drag.std < allowance(Model().param["d_y"], drag.value) < np.ptp(drag.interval_95) / (2.0 * 1.96)
+    assert not drag.identifiable
+    assert "95 % interval" in drag.why
 
 
 def test_an_estimate_does_not_depend_on_where_it_began():

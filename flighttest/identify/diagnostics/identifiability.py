@@ -112,7 +112,7 @@ def judge(
         with_whom = (
             f"; it is nearly collinear with {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
         )
-        return Known(False, f"its standard error is {wide}{with_whom}{steered}", fly)
+        return Known(False, f"its 95 % interval is that of a standard error of {wide}{with_whom}{steered}", fly)
     return Known(True)
 
 
