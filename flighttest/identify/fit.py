@@ -9,6 +9,7 @@ found = fit(segments, Model(("body", "linear_drag", "ground_effect")), ties={"d_
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -26,7 +27,6 @@ from flighttest.estimation.uncertainty.covariance import (
     Covariance,
     covariance_of,
     interval_factor,
-    normal_std,
     scatter_of,
     widened,
 )
@@ -259,11 +259,11 @@ def _estimates(
                 name, param.symbol, param.unit, value, None, None, "frozen", False, "it was held at this value"
             )
             continue
-        known_std, interval, partner, scatter, judged = None, None, None, None, None
+        known_std, dof, interval, partner, scatter = None, math.inf, None, None, None
         if source_name in covariance.names:
             i = covariance.names.index(source_name)
             known_std, dof = covariance.of(np.eye(std.size)[i])
-            half, scatter, judged = interval_factor(dof) * known_std, float(std[i]), normal_std(known_std, dof)
+            half, scatter = interval_factor(dof) * known_std, float(std[i])
             interval = (max(value - half, param.lower), min(value + half, param.upper))
             other = np.abs(correlation[i]) * (np.arange(std.size) != i)
             if std.size > 1:
@@ -271,7 +271,7 @@ def _estimates(
                 partner = (covariance.names[j], float(correlation[i, j]))
         insensitive = source_name in solution.insensitive or source_name not in solution.free
         known = judge(
-            param, Estimated(value, judged, insensitive, source_name in solution.at_bound, partner), spread, reveals.get(name, ""),
+            param, Estimated(value, known_std, dof, insensitive, source_name in solution.at_bound, partner), spread, reveals.get(name, ""),
             diagnostics.get(source_name),
         )  # fmt: skip
         source = "assumed" if insensitive else "tied" if name in problem.ties else "fit"
@@ -309,7 +309,7 @@ def mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estimat
     value = float(np.mean([found[n].value for n in names]))
     half = interval_factor(dof) * std
     missing = [n for n in DELAY_PARAM.values() if n in found and n not in names]
-    known = judge(DELAY, Estimated(value, normal_std(std, dof)), None, "")
+    known = judge(DELAY, Estimated(value, std, dof), None, "")
     doubted = [n for n in names if not found[n].identifiable]
     if doubted:
         known = Known(

@@ -128,6 +128,11 @@ _INVERSE = ("motor_saturation", "rate_limit", "reference_shaping", "yaw_rate_sha
 _WHOLE = ("angle_boost", "rotor_speed_lag")
 
 
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Drawn evenly in the logarithm. By `math`: of numpy's exponential the last digit depends on the processor, and with it the seal."""
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
 def sized(names: Sequence[str], vehicle_seed: int, rng: np.random.Generator) -> dict[str, dict[str, float]]:
     """Effects of a random vehicle, each of a size that is drawn."""
     usual = effects_on({name: {} for name in names}, random_rotor(vehicle_seed))
@@ -135,8 +140,7 @@ def sized(names: Sequence[str], vehicle_seed: int, rng: np.random.Generator) -> 
 
 
 def _sized(name: str, usual: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
-    # `math`: of numpy's exponential the last digit depends on the processor, and with it the seal.
-    factor = math.exp(rng.uniform(math.log(FACTOR[0]), math.log(FACTOR[1])))
+    factor = log_uniform(rng, *FACTOR)
     if name in _WHOLE:
         factor = float(rng.uniform(0.6, 1.0))
     if name in _INVERSE:

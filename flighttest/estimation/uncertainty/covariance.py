@@ -18,7 +18,7 @@ from flighttest.estimation.problem import Problem
 from flighttest.estimation.solver import Solution
 from flighttest.estimation.uncertainty.colored_residuals import ColoredResiduals, colored_residuals
 from flighttest.estimation.uncertainty.discrepancy import discrepancy_covariance
-from flighttest.estimation.uncertainty.distributions import NORMAL_95, quantile
+from flighttest.estimation.uncertainty.distributions import quantile
 
 FloatArray = NDArray[np.float64]
 
@@ -55,11 +55,6 @@ class Covariance:
 def interval_factor(dof: float, level: float = 0.95) -> float:
     """Two-sided Student-t quantile."""
     return quantile(0.5 + level / 2, max(dof, 1.0))
-
-
-def normal_std(std: float, dof: float) -> float:
-    """Standard deviation of the normal distribution with the 95 % interval of a standard error of so many degrees of freedom."""
-    return std * interval_factor(dof) / NORMAL_95
 
 
 def cluster_covariance(

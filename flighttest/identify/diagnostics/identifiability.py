@@ -10,7 +10,8 @@ import numpy as np
 
 from flighttest.estimation.responses import never_changing, zero_order_hold
 from flighttest.estimation.solver import Solution
-from flighttest.estimation.uncertainty.covariance import Covariance, std_of
+from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor, std_of
+from flighttest.estimation.uncertainty.distributions import NORMAL_95
 from flighttest.identify.diagnostics.heterogeneity import Heterogeneity
 from flighttest.identify.diagnostics.local_optima import LocalOptimum
 from flighttest.physics.core import Param
@@ -81,11 +82,12 @@ def maneuver_for(param: Param, reveals: str) -> str:
 
 @dataclass(frozen=True)
 class Estimated:
-    """One parameter as the solver left it. std: of a normal distribution with its 95 % interval, which few degrees of freedom widen, None
-    where none was estimated; partner: the parameter it is most correlated with."""
+    """One parameter as the solver left it. std: None where none was estimated; dof: degrees of freedom of its interval; partner: the
+    parameter it is most correlated with."""
 
     value: float
     std: float | None
+    dof: float = math.inf
     insensitive: bool = False
     at_bound: bool = False
     partner: tuple[str, float] | None = None
@@ -107,7 +109,9 @@ def judge(
     # More than half of the variance.
     steered = "; mostly because what flew the vehicle answered disturbances, as a pilot or a position loop does"
     steered = steered if diagnostics.closed_loop_bias > np.sqrt(0.5) * found.std else ""
-    if wide := _too_wide(param, found.value, found.std, voltage_spread_v):
+    # Of the normal distribution with the same interval, which few degrees of freedom widen.
+    normal_std = found.std * interval_factor(found.dof) / NORMAL_95
+    if wide := _too_wide(param, found.value, normal_std, voltage_spread_v):
         partner = found.partner if param.name != "alpha" else None
         with_whom = (
             f"; it is nearly collinear with {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from flighttest.errors import FitError
 from flighttest.estimation.linearisation import FloatArray
 from flighttest.estimation.solver import Start, solve
-from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor, normal_std
+from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
 from flighttest.identify.diagnostics.identifiability import Estimated, judge
 from flighttest.identify.fit import Estimate, Fit, fit, has_attitude_references, mean_delay
 from flighttest.identify.free_flight.estimate import determined, estimate
@@ -92,8 +92,9 @@ def _with_errors(made: Fit, found: HeldEstimate) -> Fit:
         assumed = n in found.assumed and (p.kind != "amplitude" or p.off is None)
         known_std = std[n] if np.isfinite(std[n]) and not assumed else None
         at_bound = not p.lower < e.value < p.upper
-        judged = None if known_std is None else normal_std(known_std, dof)
-        known = judge(p, Estimated(e.value, judged, assumed, at_bound), made.voltage_spread_v, reveals.get(n, ""))
+        known = judge(
+            p, Estimated(e.value, known_std, dof, assumed, at_bound), made.voltage_spread_v, reveals.get(n, "")
+        )
         interval = None if known_std is None else (max(e.value - half, p.lower), min(e.value + half, p.upper))
         estimates[n] = Estimate(
             n, e.symbol, e.unit, e.value, known_std, interval, "fit" if known_std is not None else "assumed", known.identifiable,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from flighttest.errors import InputError
+from flighttest.proof.cases import log_uniform
 from flighttest.proof.recorded.sets import RecordedSet
 from flighttest.proof.recorded.wind_pairs import Wind
 
@@ -144,7 +144,6 @@ def _draw(seed: int, index: int, here: Mapping[RecordedSet, Sequence[str]]) -> R
     one = _one_of([s for s in here if s.source == source], rng)
     number = {"clean": 0, "single": 1, "pair": 2}[kind]
     order = [str(e) for e in rng.permutation(sorted(set(ADDED) - set(one.own)))]
-    low, high = map(math.log, SIZE)  # `math`: as in `proof.cases`
     return RecordedCase(
         index=index,
         seed=seed,
@@ -154,9 +153,9 @@ def _draw(seed: int, index: int, here: Mapping[RecordedSet, Sequence[str]]) -> R
         columns=str(one.columns) if one.columns else None,
         own=one.own,
         order=tuple(order) if number else (),
-        sizes=tuple(math.exp(rng.uniform(low, high)) for _ in range(number)),
+        sizes=tuple(log_uniform(rng, *SIZE) for _ in range(number)),
         signs=tuple(float(rng.choice([-1.0, 1.0])) for _ in range(3)),
-        answer_1_s=math.exp(rng.uniform(math.log(ANSWER_1_S[0]), math.log(ANSWER_1_S[1]))),
+        answer_1_s=log_uniform(rng, *ANSWER_1_S),
         begin=float(rng.random()),
     )
 

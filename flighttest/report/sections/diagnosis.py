@@ -273,7 +273,7 @@ def _limits(data: DiagnosisData) -> Section:
         caption = "Candidates that were tried and not taken."
         blocks.append(
             Table(
-                ("candidate", "-2 log evidence", "probability by it", "why not"),
+                ("candidate", "-2 log evidence", "probability by evidence", "why not"),
                 rows,
                 align,
                 caption,
