@@ -227,7 +227,7 @@ class Search:
         While a lack of fit remains: a term without a linear coefficient. One with states of its own that are free at the start of a
         response changes nothing at its null value: as long as nothing is named, or more stays than of a mismatch that counts as explained
         (a load of 0.3 of the mass, swinging as each window began, had log odds of -4 and 29,000 nats). Every other nonlinear term as long
-        as nothing is named and repeats measure the lack (a load of 0.29 of the mass had no score, and 151,000 nats).
+        as nothing is named (a load of 0.29 of the mass had no score, and 151,000 nats).
         """
         if not self.lack_of_fit:
             return False
@@ -238,7 +238,7 @@ class Search:
         assert self.floor is not None
         if any(state.free for state in candidate.term.states):
             return not self.named or share_left(self.base.rows, self.now.rows, self.floor) > EXPLAINED_SHARE
-        return bool(candidate.term.shapes) and not self.named and bool(self.floor.from_repeats)
+        return bool(candidate.term.shapes) and not self.named
 
     def linearise(self) -> None:
         """Columns of every candidate outside the present model, and the subsets of them, best first."""
