@@ -88,7 +88,7 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
         + unlike_flights(_pushes(final_fit) if searches else {}),
         located=tuple(located),
         findings=tuple(findings),
-        not_needed=tuple(sorted(tried - {*accepted, *hidden})),
+        not_needed=tuple(sorted(tried - {*accepted, *joined, *hidden})),
         untestable=tuple(unseen),
         unexplained={"excess_share": float(min(share, 1.0)) if located or findings else 0.0, "of": error},
         smallest_detectable={k: v for k, (v, _) in levels.items() if np.isfinite(v) and hidden.get(k) != UNSEEN},

@@ -18,6 +18,7 @@ from flighttest.diagnose.free_flight.prediction import against_larger, held_out_
 from flighttest.diagnose.free_flight.reported import candidates_of
 from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS
+from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.responses import exogenous
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, in_still_air
@@ -112,6 +113,29 @@ def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monke
     found = find_terms(stretches(tilted()), ALONE, TILTS)
     assert "attitude_offset" not in found.named
     assert found.refused["attitude_offset"][1] == "it cannot be"
+
+
+def test_what_instruments_drift_by_is_estimated_beside_the_rest_and_has_no_name(monkeypatch):
+    """Left in the noise, an accelerometer's lever arm of 0.049 m/s^2 concealed a load of 6.5 noise floors."""
+    monkeypatch.setattr(equation_search, "DRIFT", dict.fromkeys(DRIFT, 10.0))
+    found = diagnose(tilted(), ALONE, only=["attitude_offset", "thrust_scaled_drag"])
+    assert not found.findings
+    assert found.model.terms == (*ALONE.terms, "attitude_offset")
+    assert abs(found.values["offset_pitch"] - 0.04) < 0.01
+    (row,) = [c for c in found.candidates if c["term"] == "attitude_offset"]
+    assert "below what estimates drift by" in row["why"]
+    assert "attitude_offset" not in {*found.not_needed, *(u.term for u in found.untestable)}
+    assert any("attitude_offset is in the model and no finding" in note for note in found.notes)
+
+
+def test_what_is_no_longer_small_beside_terms_that_joined_later_is_named(monkeypatch):
+    sizes = iter([{"f_x_m_s2": 0.9 * DRIFT["f_x_m_s2"]}])
+    usual = {"f_x_m_s2": 1.1 * DRIFT["f_x_m_s2"]}
+    monkeypatch.setattr(equation_search, "effect_sizes", lambda *_: next(sizes, usual))
+    found = find_terms(stretches(tilted()), ALONE, TILTS)
+    assert list(found.named) == ["attitude_offset"]
+    assert found.named["attitude_offset"].size == usual
+    assert not found.small
 
 
 def test_a_term_whose_null_value_is_inside_its_interval_is_not_named(monkeypatch):

@@ -73,11 +73,11 @@ def by_prediction_errors(part: str, asked: Asked, winds: Sequence[FlightWind] = 
         return PartAnswer(notes=[f"nothing in this recording moves the {PART_IN_WORDS[part]}: it is left out"])
     made = PredictionErrorAnswer(complete=search.complete, search=search, held=search.final.held, winds=search.winds)
     made.error = WITH_GUSTS
-    made.null = merged(held_at_null(search, t) for t in asked.pool if t.id in search.named)
+    made.null = merged(held_at_null(search, t) for t in asked.pool if t.id in search.final.model.terms)
     made.terms = tuple(t for t in search.final.model.terms if t not in model.terms and t != WIND_TERM)
     made.accepted = {t: n.nats for t, n in search.named.items()}
     known = {*search.named, *search.refused, *made.terms, *(one.term for one in search.screened)}
-    made.tried = frozenset({*known, *({WIND_TERM} & {*search.offered})} - {*search.beside_wind})
+    made.tried = frozenset({*known, *({WIND_TERM} & {*search.offered})})
     made.notes = notes_of_search(search)
     made.before = table_of(search.base, asked.model)
     made.heldout = held_out_table(search.flown, search.base, search.final) if search.named else {}

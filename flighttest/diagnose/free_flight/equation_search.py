@@ -5,9 +5,11 @@ Each step screens every term (`equation_screen`), estimates the most significant
 one with the largest quasi-likelihood: log likelihood of the innovations divided by the variance inflation that the robust covariance
 shows (QAIC: Burnham and Anderson 2002, section 2.5), less half the logarithm of the number of blocks per parameter (Schwarz 1978). A
 term is named when its coefficients are significant by the robust covariance as well, at a level divided by the number of terms
-(Bonferroni), its effect is larger than what estimates drift by, its estimates are admissible, and of what was not used no more channels
-are surely predicted worse with it than better: the noise of each model is estimated with it, and a worse model of redder noise can be the
-likelier one. Wind is looked for first, against what looks like it at one heading (`identify.winds`).
+(Bonferroni), its estimates are admissible, of what was not used no more channels are surely predicted worse with it than better (the
+noise of each model is estimated with it, and a worse model of redder noise can be the likelier one), and its effect is larger than what
+estimates drift by. One that is smaller has no name and is estimated beside the others: left out, it is in the noise, in which a load of
+6.5 noise floors was not seen beside an accelerometer's lever arm of 0.049 m/s^2. Wind is looked for first, against what looks like it at
+one heading (`identify.winds`).
 """
 
 from __future__ import annotations
@@ -77,7 +79,8 @@ class NamedByEquations:
 @dataclass
 class EquationSearch:
     """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
-    anew and not taken, with the reason; screened: the last score tests; winds: of each flight, empty where none is in the model; turned:
+    anew and not named, with the reason; small: those of them that are in the model, with an effect that instruments drift by; screened:
+    the last score tests; winds: of each flight, empty where none is in the model; turned:
     whether headings differ enough to part a wind from an attitude offset; complete: False where an interrupt ended the search."""
 
     flown: Sequence[Segment]
@@ -85,6 +88,7 @@ class EquationSearch:
     final: FreeFlight
     named: dict[str, NamedByEquations] = field(default_factory=dict)
     refused: dict[str, tuple[float, str]] = field(default_factory=dict)
+    small: list[str] = field(default_factory=list)
     screened: tuple[Screened, ...] = ()
     offered: tuple[str, ...] = ()
     winds: tuple[FlightWind, ...] = ()
@@ -105,7 +109,7 @@ class EquationSearch:
     @property
     def beside_wind(self) -> tuple[str, ...]:
         """Terms that are in the model only because a wind is."""
-        known = (*self.named, *self.base.model.terms)
+        known = (*self.named, *self.small, *self.base.model.terms)
         return tuple(t for t in BESIDE_WIND if t in self.final.model.terms and t not in known)
 
 
@@ -138,6 +142,7 @@ def find_terms(
         _wind_first(found, asked, known)
         while len(found.named) < MOST_NAMED and _step(found, asked, known):
             _drop_what_left(found, asked)
+        _name_what_grew(found, asked, known)
     except KeyboardInterrupt:
         found.complete = False
     if WIND_TERM in found.final.model.terms:
@@ -219,7 +224,9 @@ def _wind_first(found: EquationSearch, asked: ModelEstimates, known: Mapping[str
             continue
         smaller = asked.estimate(tried.model.without_terms(one), _shared(tried.values))
         nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
-        if not _against(_Trial(known[one], smaller, tried, nats, p, size), asked, len(known)):
+        if not _below_drift(size) and not _against(
+            _Trial(known[one], smaller, tried, nats, p, size), asked, len(known)
+        ):
             found.named[one] = NamedByEquations(one, nats, p, size)
 
 
@@ -288,6 +295,11 @@ def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimat
             if s.term != WIND_TERM or WIND_TERM not in found.refused:  # what `_wind_first` found says more
                 found.refused[s.term] = (nats, why)
             continue
+        if why := _below_drift(size):
+            found.final = one
+            found.small.append(s.term)
+            found.refused[s.term] = (nats, why)
+            return True
         rivals = tuple(
             r.term for n, r, _ in tried if r is not s and nats - n < CHANCE_NATS and (n <= nats or r.term == WIND_TERM)
         )
@@ -313,7 +325,7 @@ class _Trial:
 
 
 def _against(trial: _Trial, asked: ModelEstimates, candidates: int) -> str:
-    """Why a term is not taken; empty where it is."""
+    """Why a term does not join the model; empty where it does."""
     nats, p_value, level = trial.nats, trial.p_value, level_of(candidates)
     if not np.isfinite(nats) or nats <= 0.0:
         return f"it predicts no better than its parameters cost ({nats:.1f} nats)"
@@ -321,9 +333,6 @@ def _against(trial: _Trial, asked: ModelEstimates, candidates: int) -> str:
         return f"evidence of {nats:.1f} nats: the probability that it is needed is {probability:.3g}"
     if p_value >= level:
         return f"its coefficients are not significant (p {p_value:.2g}, asked {level:.2g})"
-    if all(value < DRIFT.get(c, 0.0) for c, value in trial.size.items()):
-        channel, value = max(trial.size.items(), key=lambda kv: kv[1])
-        return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
     found = trial.larger
     if why := null_inside_interval(found, trial.term):
         return why
@@ -333,10 +342,32 @@ def _against(trial: _Trial, asked: ModelEstimates, candidates: int) -> str:
     return outside_prior(trial.term, estimates, least) or against_larger(held)
 
 
+def _below_drift(size: Mapping[str, float]) -> str:
+    """Why a term that joins the model has no name; empty where it has."""
+    if any(value >= DRIFT.get(c, 0.0) for c, value in size.items()):
+        return ""
+    channel, value = max(size.items(), key=lambda kv: kv[1])
+    return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
+
+
+def _name_what_grew(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> None:
+    """Name terms whose effect, beside those that joined later, is larger than what estimates drift by."""
+    for name in list(found.small):
+        smaller = asked.estimate(found.final.model.without_terms(name), _shared(found.final.values))
+        nats, size = _nats(found.final, smaller), effect_sizes(asked.streams(smaller), asked.streams(found.final))
+        p_value = significance(found.final, smaller, known[name], asked)
+        trial = _Trial(known[name], smaller, found.final, nats, p_value, size)
+        if not _below_drift(size) and not _against(trial, asked, len(known)):
+            found.small.remove(name)
+            del found.refused[name]
+            found.named[name] = NamedByEquations(name, nats, p_value, size)
+
+
 def _drop_what_left(found: EquationSearch, asked: ModelEstimates) -> None:
     """Terms that are no longer significant beside the newest leave, the newest excepted."""
     known = {t.id: t for t in found.final.model.built_terms}
-    for name in list(found.named)[:-1]:
+    newest = found.final.model.terms[-1]
+    for name in [n for n in (*found.named, *found.small) if n != newest]:
         if name == WIND_TERM:
             gone = [] if any_wind(found.seen()) else [name, *found.beside_wind]
         elif name in BESIDE_WIND and WIND_TERM in found.named:
@@ -347,7 +378,8 @@ def _drop_what_left(found: EquationSearch, asked: ModelEstimates) -> None:
             continue
         smaller = found.final.model.without_terms(*gone)
         found.final = asked.estimate(smaller, _shared(found.final.values))
-        del found.named[name]
+        found.named.pop(name, None)
+        found.small = [n for n in found.small if n != name]
         found.refused[name] = (0.0, "not needed beside the terms that joined later")
 
 

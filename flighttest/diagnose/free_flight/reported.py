@@ -100,7 +100,7 @@ def candidates_of(search: EquationSearch) -> list[CandidateRow]:
 
 def notes_of_search(search: EquationSearch) -> list[str]:
     """The noise found, and, of the translation, what winds and further flights would show."""
-    notes = []
+    notes = [f"{name} is in the model and no finding: {search.refused[name][1]}" for name in search.small]
     if search.beside_wind:
         notes.append(
             f"{' and '.join(search.beside_wind)} {'is' if len(search.beside_wind) == 1 else 'are'} estimated beside the wind, which "
