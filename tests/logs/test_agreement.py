@@ -99,6 +99,36 @@ def test_axes_that_move_together_are_not_taken_for_each_other():
         assert disagreements(T, noisy) == []
 
 
+def turning(rng):
+    """A flight that turns by 2 rad/s meanwhile: rates go with no rate of an angle in another unit."""
+    yaw = 2.0 * T
+    roll, pitch = 0.2 * np.sin(1.3 * T), 0.15 * np.sin(0.9 * T + 1.0)
+    rotation = rotation_from_euler(np.stack([roll, pitch, yaw], axis=1))
+    turns = np.einsum("nji,njk->nik", rotation, np.gradient(rotation, T, axis=0))
+    table = {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": np.angle(np.exp(1j * yaw))}
+    table |= {"p_rad_s": turns[:, 2, 1], "q_rad_s": turns[:, 0, 2], "r_rad_s": turns[:, 1, 0]}
+    return {n: v + rng.normal(0.0, 1e-3, T.size) for n, v in table.items()}
+
+
+@pytest.mark.parametrize(("factor", "said"), [(np.radians(1.0), "in radians, taken for"), (57.3, "in degrees, taken")])
+def test_an_attitude_in_another_unit_is_reported_where_it_goes_with_nothing(factor, said):
+    """Of an octocopter's flight whose attitude was in radians and declared as degrees nothing was said: with p and q in other axes
+    than the angles' the correlation was 0.7, and the ratio of 57 was not looked at."""
+    table = turning(np.random.default_rng(10))
+    assert disagreements(T, table) == []
+    angles = ("roll_rad", "pitch_rad", "yaw_rad")
+    (line,) = disagreements(T, table | {n: factor * table[n] for n in angles})
+    assert said in line
+    assert "p_rad_s" in line
+    assert "column map" in line
+    rates = ("p_rad_s", "q_rad_s", "r_rad_s")
+    noise = np.random.default_rng(11)
+    rough = {n: noise.normal(0.0, 1.0, T.size) for n in rates}
+    assert disagreements(T, table | rough) == []
+    one_alone = table | rough | {"p_rad_s": table["p_rad_s"]}
+    assert disagreements(T, one_alone | {n: factor * table[n] for n in angles}) == []
+
+
 def test_what_hardly_moves_or_is_hardly_there_says_nothing():
     rng = np.random.default_rng(3)
     still = {n: rng.normal(0.0, 0.01, T.size) for n in flown(rng)}

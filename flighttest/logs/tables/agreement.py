@@ -1,5 +1,9 @@
 """Whether columns of a table agree: rates are those of the attitude, a velocity is the rate of its position, and an acceleration what
-attitude and specific force make it. What does not agree has another unit, axis or frame than its name states."""
+attitude and specific force make it. What does not agree has another unit, axis or frame than its name states.
+
+Rates and accelerations are no linear functions of the attitude: in another unit it need not go with them at all. So where nothing that
+holds the attitude agrees, it is tried in the other unit.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +25,21 @@ _RATES = ("p_rad_s", "q_rad_s", "r_rad_s")
 _VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
 _POSITION = ("p_x_m", "p_y_m", "p_z_m")
 _FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
-_REMEDY = "state it in a column map (--columns)"
+REMEDY = "state it in a column map (--columns)"
 _SMOOTH_S = 0.3  # both sides are smoothed over it: sensors' noise is not what is compared
-_CERTAIN = 0.9  # correlation from which a ratio is no accident
+CERTAIN = 0.9  # correlation from which a ratio is no accident
 _FACTOR = 3.0  # filters, tilt and delays change a ratio, and what is left of a signal beside its reference, by less
 _FEWEST = 100
+_AGREES = 2  # axes that must agree in another unit: one alone may be an accident
+# By how much an attitude in one unit is too small or large where the other one was declared.
+_OTHER_UNITS = {
+    np.degrees(1.0): "they look to be in radians, taken for degrees",
+    np.radians(1.0): "they look to be in degrees, taken for radians",
+}
 
 
 @dataclass(frozen=True)
-class _Axis:
+class MeasuredTwice:
     """One axis of a vector measured twice: by `name`, values (n,), and by what `stated` names, reference (n,)."""
 
     name: str
@@ -46,10 +56,36 @@ def disagreements(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[st
     order = np.argsort(t_s, kind="stable")
     t_s, columns = t_s[order], {name: values[order] for name, values in columns.items()}
     vectors = (_rates(t_s, columns), _velocities(t_s, columns), *_accelerations(t_s, columns))
-    return [line for axes in vectors for axis in axes if (line := _contradicted(t_s, axis, axes))]
+    lines = [line for axes in vectors for axis in axes if (line := contradicted(t_s, axis, axes))]
+    return lines or _in_another_unit(t_s, columns)
 
 
-def _rates(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[_Axis]:
+def _in_another_unit(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[str]:
+    """That the attitude has another unit, where rates and level accelerations agree with it in that one and not in its own."""
+    if not all(n in columns for n in _ATTITUDE) or _agreeing(t_s, columns):
+        return []
+    for factor, said in _OTHER_UNITS.items():
+        found = _agreeing(t_s, {**columns, **{n: factor * columns[n] for n in _ATTITUDE}})
+        if len(found) >= _AGREES:
+            return [
+                f"{', '.join(_ATTITUDE)} go with {' and '.join(found[:_AGREES])} if they are multiplied by {factor:.3g}, and not as they are: "
+                f"{said}; {REMEDY}"
+            ]
+    return []
+
+
+def _agreeing(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[str]:
+    """Names of rates and accelerations that are what the attitude makes of them."""
+    axes = [*_rates(t_s, columns), *(axis for found in _accelerations(t_s, columns) for axis in found)]
+    both = [(axis, *correlated(t_s, axis.values, axis.reference)) for axis in axes]
+    return [a.name for a, correlation, ratio in both if abs(correlation) >= CERTAIN and _alike(ratio)]
+
+
+def _alike(ratio: float) -> bool:
+    return 1.0 / _FACTOR < ratio < _FACTOR
+
+
+def _rates(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[MeasuredTwice]:
     """Rates of the body against those of the attitude; against the rate of their own angle where another is not there."""
     slope = {n: difference(t_s, _unwrapped(columns[n])) for n in _ATTITUDE if n in columns}
     if len(slope) < len(_ATTITUDE):
@@ -63,19 +99,19 @@ def _rates(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[_Axis]:
             "q_rad_s": np.cos(roll) * d_pitch + np.sin(roll) * np.cos(pitch) * d_yaw,
             "r_rad_s": np.cos(roll) * np.cos(pitch) * d_yaw - np.sin(roll) * d_pitch,
         }
-    return [_Axis(n, stated[n], columns[n], found[n]) for n in _RATES if n in columns and n in found]
+    return [MeasuredTwice(n, stated[n], columns[n], found[n]) for n in _RATES if n in columns and n in found]
 
 
-def _velocities(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[_Axis]:
+def _velocities(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[MeasuredTwice]:
     pairs = zip(_VELOCITY, _POSITION, strict=True)
     return [
-        _Axis(v, f"the rate of {p}", columns[v], difference(t_s, columns[p]))
+        MeasuredTwice(v, f"the rate of {p}", columns[v], difference(t_s, columns[p]))
         for v, p in pairs
         if v in columns and p in columns
     ]
 
 
-def _accelerations(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[list[_Axis]]:
+def _accelerations(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[list[MeasuredTwice]]:
     """Accelerations of the velocity, else of the position, against the specific force turned by the attitude: level ones as the heading
     sees them (forward goes with pitch and left with roll, whatever the compass shows), and the vertical one. Without an accelerometer
     the level ones alone, with the force that carries the vehicle along the axis of its rotors, as a multirotor's is."""
@@ -94,7 +130,7 @@ def _accelerations(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[l
     level = rotation_from_euler(np.stack([roll, pitch, np.zeros(yaw.size)], axis=1))
     forward, left, up = np.einsum("nij,nj->in", level, np.stack(force, axis=1))
     source = "attitude and specific force" if measured else "roll and pitch, with thrust along the rotors' axis,"
-    found: list[list[_Axis]] = []
+    found: list[list[MeasuredTwice]] = []
     if slope.keys() >= set(_VELOCITY[:2]):
         x, y = slope["v_x_m_s"], slope["v_y_m_s"]
         of = f"{named['v_x_m_s']} and {named['v_y_m_s']}"
@@ -104,31 +140,31 @@ def _accelerations(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[l
         }
         found.append(
             [
-                _Axis(f"the {way} acceleration of {of}", f"what {source} make of the {way} one", *v)
+                MeasuredTwice(f"the {way} acceleration of {of}", f"what {source} make of the {way} one", *v)
                 for way, v in both.items()
             ]
         )
     if measured and "v_z_m_s" in slope:
         rate = "the rate of v_z_m_s" if named["v_z_m_s"] == "v_z_m_s" else "the upward acceleration of p_z_m"
-        found.append([_Axis(rate, f"what {source} make of it", slope["v_z_m_s"], up - G_M_S2)])
+        found.append([MeasuredTwice(rate, f"what {source} make of it", slope["v_z_m_s"], up - G_M_S2)])
     return found
 
 
-def _contradicted(t_s: FloatArray, axis: _Axis, axes: Sequence[_Axis]) -> str | None:
+def contradicted(t_s: FloatArray, axis: MeasuredTwice, axes: Sequence[MeasuredTwice]) -> str | None:
     """Of an axis that goes with its own reference, what is wrong with its size or sign; of one that goes with another's instead, which."""
-    correlation, ratio = _together(t_s, axis.values, axis.reference)
-    if abs(correlation) >= _CERTAIN:
-        if 1.0 / _FACTOR < ratio < _FACTOR:
+    correlation, ratio = correlated(t_s, axis.values, axis.reference)
+    if abs(correlation) >= CERTAIN:
+        if _alike(ratio):
             return None
-        return f"{axis.name} is {ratio:.3g} times {axis.stated}: one of them has another unit or frame than its name states; {_REMEDY}"
+        return f"{axis.name} is {ratio:.3g} times {axis.stated}: one of them has another unit, sign or frame than its name states; {REMEDY}"
     for other in axes:
-        shared, ratio = _together(t_s, axis.values, other.reference)
+        shared, ratio = correlated(t_s, axis.values, other.reference)
         left, left_by_other = np.sqrt(1.0 - correlation**2), np.sqrt(max(1.0 - shared**2, 0.0))
-        instead = abs(shared) >= _CERTAIN and left > _FACTOR * left_by_other
-        if instead and 1.0 / _FACTOR < abs(ratio) < _FACTOR:
+        instead = abs(shared) >= CERTAIN and left > _FACTOR * left_by_other
+        if instead and _alike(abs(ratio)):
             return (
                 f"{axis.name} is {ratio:.3g} times {other.stated}, and does not follow {axis.stated}: axes have another order or frame "
-                f"than their names state; {_REMEDY}"
+                f"than their names state; {REMEDY}"
             )
     return None
 
@@ -140,7 +176,7 @@ def _unwrapped(angle: FloatArray) -> FloatArray:
     return out
 
 
-def _together(t_s: FloatArray, values: FloatArray, reference: FloatArray) -> tuple[float, float]:
+def correlated(t_s: FloatArray, values: FloatArray, reference: FloatArray) -> tuple[float, float]:
     """Correlation of two signals, smoothed, and how much the first is of the second; zeros where too little is known of them."""
     good = np.flatnonzero(np.isfinite(values) & np.isfinite(reference))
     if good.size < _FEWEST:
