@@ -13,7 +13,7 @@ from flighttest.estimation.problem import Problem
 from flighttest.estimation.responses import attitude_is_known, dead_channels, never_changing
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
-from flighttest.segments.model import Segment
+from flighttest.segments.model import Flaw, Segment
 
 Select = Literal["paper", "all"]
 
@@ -25,14 +25,13 @@ LEAST_CHANGE = 0.02  # of a reference that moves: rad, rad/s or throttle
 DRAG_STEP_MIN_RAD = 0.25  # the paper's Pi_4 uses 0.3 and 0.5 rad
 
 
-NOTHING_ASKED = "neither references nor a throttle were recorded: nothing says what the vehicle was asked for"
+NOTHING_ASKED = Flaw.NOTHING_ASKED.value
 LOG_REFERENCES = "log them (ArduPilot: RATE, CTUN; telemetry: ATTITUDE_TARGET), or name their columns in a column map"
 
 
 def nothing_asked(segments: Sequence[Segment]) -> bool:
-    """Whether there are usable segments, and none of them has a reference or a throttle: no model can be fitted to them."""
-    usable = [s for s in segments if s.usable]
-    return bool(usable) and not any(s.u for s in usable)
+    """Whether there are segments, and none of them has a reference or a throttle: no model can be fitted to them."""
+    return bool(segments) and not any(s.u for s in segments)
 
 
 def able(segments: Sequence[Segment], block: Block) -> list[int]:

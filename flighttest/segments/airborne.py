@@ -31,6 +31,8 @@ _LOST_RAD, _FOLLOWED_RAD = math.radians(30.0), math.radians(5.0)
 _ASKED_S = 1.0  # loops of multirotors have answered by then
 _LOST_S = 0.2  # in all, of a second: one wrong sample of an attitude is no loss of control
 _FOLLOWED_S = 2.0  # followed before: what never did has references of something else
+# Of an attitude that follows again: what lies still stays within `_FOLLOWED_RAD` of targets that move by twice as much.
+_MOVED_RAD = 2.0 * _FOLLOWED_RAD
 
 
 def flights(recording: Recording) -> tuple[tuple[float, float], ...]:
@@ -46,9 +48,15 @@ def flights(recording: Recording) -> tuple[tuple[float, float], ...]:
     return tuple((a, b) for a, b in pieces if b - a > (_ASIDE_S if len(bounds) > 1 else 0.0))
 
 
+def takeoffs(recording: Recording) -> tuple[float, ...]:
+    """Where each flight begins, s; where control was regained none does."""
+    regained = {end for _, end in control_lost(recording)} - {m.t_s for m in recording.markers if m.label == "take-off"}
+    return tuple(start for start, _ in flights(recording) if start not in regained)
+
+
 def control_lost(recording: Recording) -> tuple[tuple[float, float], ...]:
-    """From where the attitude leaves what was asked for, to the end of that flight, s, of every flight in which control was lost (a
-    collision, a failure): in what state the vehicle and its estimates are from there on is not known."""
+    """From where the attitude leaves what was asked for, to where it is shown to follow again, else to the end of that flight, s, of every
+    flight in which control was lost (a collision, a failure): in what state the vehicle and its estimates are meanwhile is not known."""
     start, end = _whole(recording)
     return tuple(_without_control(recording, start, end, _landings(recording, start, end)))
 
@@ -209,17 +217,47 @@ def _without_control(
     found: list[tuple[float, float]] = []
     begin = start
     for stop in ends:
-        if begin < stop <= end and (lost := _lost_from(recording, begin, stop)) is not None:
-            found.append((lost, stop))
+        while begin < stop <= end and (lost := _lost_from(recording, begin, stop)) is not None:
+            begin = _follows_again(recording, lost, stop) or stop
+            found.append((lost, begin))
         begin = max(begin, stop)
     return found
 
 
-def _lost_from(recording: Recording, start: float, end: float) -> float | None:
-    """Where roll or pitch leaves what was asked for, s; None where both stay with it, or never followed it."""
+def _follows_again(recording: Recording, lost: float, end: float) -> float | None:
+    """Where an attitude that left its targets has followed them again for as long as one must to be lost, and moved with them by more than
+    what lies still seems to, with driven motors, s; None where it never does."""
+    t, far = _beside_targets(recording, lost, end)
+    follows = (far <= _FOLLOWED_RAD) & _is_driven(recording, t)
+    angles = [np.interp(t, *recording.channel(f"{axis}_rad")) for axis in ("roll", "pitch")]
+    turns = np.flatnonzero(np.diff(np.concatenate([[False], follows, [False]]).astype(np.int8)))
+    for first, after in zip(turns[::2], turns[1::2], strict=True):
+        spans = [np.maximum.accumulate(a[first:after]) - np.minimum.accumulate(a[first:after]) for a in angles]
+        shown = (np.max(spans, axis=0) > _MOVED_RAD) & (t[first:after] - t[first] >= _FOLLOWED_S)
+        if shown.any():
+            return float(t[first + int(np.argmax(shown))])
+    return None
+
+
+def _is_driven(recording: Recording, t: FloatArray) -> NDArray[np.bool_]:
+    """(n,) where the throttle is more than idle, as far as it was recorded."""
+    if not recording.has("throttle"):
+        return np.ones(t.size, dtype=bool)
+    at, throttle = recording.channel("throttle")
+    at, throttle = at[np.isfinite(throttle)], throttle[np.isfinite(throttle)]
+    return np.asarray(throttle[np.maximum(np.searchsorted(at, t, side="right") - 1, 0)] > _IDLE)
+
+
+def _beside_targets(recording: Recording, start: float, end: float) -> tuple[FloatArray, FloatArray]:
+    """Times of the attitude (n,), s, and how far roll or pitch is outside of what was asked for, rad (n,)."""
     t = recording.channel("roll_rad")[0] if recording.has("roll_rad", "pitch_rad") else np.zeros(0)
     t = t[(t >= start) & (t <= end)]
-    far = np.maximum(*(_outside_targets(recording, axis, t) for axis in ("roll", "pitch"))) if t.size else np.zeros(0)
+    return t, np.maximum(*(_outside_targets(recording, axis, t) for axis in ("roll", "pitch"))) if t.size else t
+
+
+def _lost_from(recording: Recording, start: float, end: float) -> float | None:
+    """Where roll or pitch leaves what was asked for, s; None where both stay with it, or never followed it."""
+    t, far = _beside_targets(recording, start, end)
     beyond = far > _LOST_RAD
     for k in np.flatnonzero(beyond & (t - start >= _FOLLOWED_S)):
         soon = slice(k, int(np.searchsorted(t, t[k] + _ASKED_S, side="right")))

@@ -25,7 +25,7 @@ class Use(Enum):
     REJECTED = "cut, and rejected"
     PAUSE = "nothing was recorded"
     GROUND = "before take-off, after landing or on the ground"
-    LOST = "after control was lost: roll or pitch more than 30 degrees from what was asked for"
+    LOST = "after control was lost: roll or pitch more than 30 degrees from what was asked for, and not yet shown to follow again"
     UNKNOWN = "no command was recorded (for example while the autopilot holds a position)"
     BETWEEN = "between steps: held still, interrupted, or too short for a window"
     SHORT = "too short for a window"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from flighttest.channels import INPUTS
 from flighttest.recording import Recording
 from flighttest.segments import edges as ed
-from flighttest.segments.airborne import control_lost, flights
+from flighttest.segments.airborne import control_lost, flights, takeoffs
 from flighttest.segments.align import Aligned, prepare_motion, sample
 from flighttest.segments.edges import BY_HAND, EXACT, IN_PIECE, FoundStep, References, Tolerance
 from flighttest.segments.marks import Marked, marked
@@ -263,13 +263,15 @@ class _Cutter:
         self.streamed = "roll_ref_rad" not in recording.provenance.derived
         up = [m.t_s for m in recording.markers if m.label == "take-off"]
         flown = flights(recording)
-        self.takeoffs_s = up[:1] or [start for start, _ in flown]
+        self.takeoffs_s = up[:1] or list(takeoffs(recording))
         self.hover_throttle = _median_throttle(references, flown)
         self.lost = control_lost(recording)
 
     def segment(self, response: FoundStep, mark: Marked | None) -> Segment:
         t_s, y = sample(self.aligned, response.start_s, response.end_s)
         flaws, notes = flaws_of(self.recording, self.references, response, t_s, y, self.streamed)
+        inputs = self._inputs(response)
+        flaws = flaws if inputs else (*flaws, Flaw.NOTHING_ASKED)
         if any(a < response.end_s and response.start_s < b for a, b in self.lost):
             flaws = (*flaws, Flaw.CONTROL_LOST)
         if mark is not None and response.kind != "free" and not response.cell and Flaw.REFERENCE_MOVED not in flaws:
@@ -279,11 +281,10 @@ class _Cutter:
             recorded_s = response.end_s - response.t_step_s
             if mark.outcome == "REFUSED" and response.kind != "free" and recorded_s >= _ENOUGH_S:
                 # Until the gate refused a target, the vehicle did what it was asked.
-                notes = (
-                    notes
-                    if flaws
-                    else (f"the gate ended it {recorded_s:.2f} s after the step; what was recorded until then is used",)
-                )
+                if not flaws:
+                    notes = (
+                        f"the gate ended it {recorded_s:.2f} s after the step; what was recorded until then is used",
+                    )
             elif ended not in flaws:
                 flaws = (*flaws, ended)
         yaw = y["yaw_rad"] if "yaw_rad" in y else np.full(t_s.size, np.nan)
@@ -298,7 +299,7 @@ class _Cutter:
             t_step_s=response.t_step_s,
             t_s=t_s,
             y=y,
-            u=self._inputs(response),
+            u=inputs,
             flaws=flaws,
             notes=notes,
             maneuver=(mark.maneuver if mark is not None and mark.maneuver else response.kind),

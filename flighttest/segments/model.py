@@ -32,6 +32,7 @@ class Flaw(Enum):
     CONTROL_LOST = "control was lost: the attitude left what was asked for"
     ABORTED = "the flight was aborted during the response"
     NOT_A_NUMBER = "a channel has fewer than four values during the response"
+    NOTHING_ASKED = "neither references nor a throttle were recorded: nothing says what the vehicle was asked for"
     REFERENCE_MOVED = "another reference moved during the response"
 
 

@@ -182,6 +182,14 @@ def test_a_model_that_predicts_worse_than_none_is_called_so(call, model, free_cs
     assert "worse than no model" in " ".join(call("validate", tmp_path / "weak.yaml", free_csv)[1].split())
 
 
+def test_validate_counts_the_responses_that_segment_counts(call, model, worn_csv):
+    """Of 39 responses 24 lie between steps, and `validate` reckoned with 15."""
+    every = json.loads(call("segment", worn_csv, "--json")[1])["segments"]
+    left_out = json.loads(call("validate", model, worn_csv, "--json")[1])["left_out"]
+    assert left_out.startswith(f"of {len(every)} responses ")
+    assert "between steps" in left_out
+
+
 def test_steps_beside_a_free_flight_are_validated_too(call, model, free_csv, throttle_steps, worn_csv, tmp_path):
     alone = json.loads(call("validate", model, free_csv, "--json")[1])
     assert alone["careful"] == alone["another_vehicle"] == ""

@@ -5,6 +5,7 @@ import pytest
 
 from flighttest.errors import FlighttestError
 from flighttest.pipeline.identification.fitting import fit, segment
+from flighttest.pipeline.identification.showing import show
 from flighttest.pipeline.recordings.sources import Reading, import_log, open_recordings
 from flighttest.pipeline.results import Status
 
@@ -74,3 +75,23 @@ def test_import_and_segment_say_that_a_recording_without_commands_cannot_be_fitt
         said = section.lead + "".join(getattr(block, "brief", "") for block in section.blocks)
         assert "nothing says what the vehicle was asked for" in said
         assert "are used" not in said
+        assert not any(row["used"] for row in result.data["time"])
+    alone = segment([run])
+    assert alone.document.verdict.startswith("None of the")
+    assert alone.data["used"] == 0
+    assert "Nothing in it can be used for a fit" in show(run, tmp_path / "show.html").document.verdict
+
+
+def test_import_and_show_count_the_time_in_the_air_alike(tmp_path):
+    """A flight of 2014 was 1 min 47 s in the air by `import` and 1 min 34 s by `show`: one counted what follows a loss of control."""
+    t_s = np.arange(0.0, 60.0, 0.02)
+    asked = 0.1 * np.sin(t_s)
+    roll = np.where(t_s < 40.0, asked, 1.5)
+    columns = np.column_stack([t_s, np.full(t_s.size, 0.4), asked, roll, 0.0 * t_s, np.full(t_s.size, 9.8)])
+    log, run = tmp_path / "log.csv", tmp_path / "run"
+    names = "t_s,throttle,roll_ref_rad,roll_rad,pitch_rad,f_z_m_s2"
+    np.savetxt(log, columns, delimiter=",", header=names, comments="")
+    assert "40 s of it in the air" in import_log(log, run).document.verdict
+    shown = show(run, tmp_path / "show.html")
+    assert dict(shown.document.facts)["in the air"] == "40 s"
+    assert "flight of 40 s" in shown.document.verdict

@@ -9,7 +9,7 @@ from flighttest.frames import G_M_S2
 from flighttest.recording import Recording
 from flighttest.recording.model import Marker, Provenance, Series
 from flighttest.segments import Use, budget, cut
-from flighttest.segments.airborne import control_lost, flights
+from flighttest.segments.airborne import control_lost, flights, takeoffs
 
 
 def recorded(throttle, force, roll=0.0, markers=()):
@@ -160,8 +160,9 @@ def follows(t):
     return 0.1 * np.sin(t)
 
 
-def tumbles(t):
-    return np.where((t < 30.0) | (t > 45.0), follows(t), 0.1 + 0.7 * np.sin(4.0 * (t - 30.0)))
+def tumbles(t, behind=0.0):
+    """From 30 s on; after 45 s it does what is given, by itself it lies still."""
+    return np.where(t < 30.0, follows(t), np.where(t > 45.0, behind, 0.1 + 0.7 * np.sin(4.0 * (t - 30.0))))
 
 
 @pytest.mark.parametrize(("take_offs", "until"), [((), 59.9), ((1.0, 50.0), 50.0)])
@@ -174,11 +175,64 @@ def test_after_control_is_lost_nothing_of_that_flight_is_used(take_offs, until):
     assert end == pytest.approx(until, abs=0.01)
     ends = [stop for _, stop in flights(recording)]
     assert min(abs(stop - begin) for stop in ends) == 0.0
-    assert len(ends) == (2 if take_offs else 1)
+    assert len(ends) == len(takeoffs(recording)) == (2 if take_offs else 1)
     segments = cut(recording)
     lost = [s for s in budget(recording, segments) if s.use is Use.LOST]
     assert [(s.start_s, s.end_s) for s in lost] == [(begin, end)]
     assert all(s.t_s[-1] <= begin or s.t_s[0] >= end for s in segments)
+
+
+def driven(recording, throttle):
+    """The same with a throttle, of 0.4 where `throttle` (n,) holds and idle elsewhere."""
+    reference = recording.series["reference"]
+    columns = dict(reference.columns) | {"throttle": np.where(throttle(reference.t_s), 0.4, 0.0)}
+    return replace(recording, series={**recording.series, "reference": Series(reference.t_s, columns)})
+
+
+@pytest.mark.parametrize("take_offs", [(), (1.0,)])
+def test_a_flight_is_used_again_where_the_attitude_follows_again(take_offs):
+    """All until the landing was left out, minutes after a pilot had caught the vehicle."""
+    recording = steered(lambda t: tumbles(t, follows(t)), follows, take_offs=take_offs)
+    ((begin, end),) = control_lost(recording)
+    assert begin == pytest.approx(30.0, abs=0.3)
+    assert 47.0 < end < 50.0  # 10 degrees further than it was at 45 s
+    first = take_offs[0] + 1.0 if take_offs else 0.0
+    assert flights(recording) == ((first, begin), (end, pytest.approx(59.9)))
+    assert takeoffs(recording) == (first,)
+    segments = cut(recording)
+    lost = [s for s in budget(recording, segments) if s.use is Use.LOST]
+    assert [(s.start_s, s.end_s) for s in lost] == [(begin, end)]
+    assert max(s.t_step_s - s.time_since_takeoff_s for s in segments) < 2.0
+    assert any(s.t_s[0] >= end for s in segments)
+
+
+@pytest.mark.parametrize(
+    ("behind", "asked"),
+    [
+        (lambda t: 0.0 * t, follows),  # targets move by 11.5 degrees about it
+        (lambda t: 0.8 * follows(t), lambda t: 0.8 * follows(t)),  # by 9.2 degrees
+        (lambda t: np.where(t % 3.0 < 1.5, 0.1 * np.sin(5.0 * t), 0.6), lambda t: 0.1 * np.sin(5.0 * t)),
+    ],
+    ids=["lies still", "hardly moves", "not for long"],
+)
+def test_what_hardly_moves_or_not_for_long_does_not_follow_again(behind, asked):
+    ((_, end),) = control_lost(steered(lambda t: tumbles(t, behind(t)), asked))
+    assert end == pytest.approx(59.9)
+
+
+@pytest.mark.parametrize(("idles_s", "ends"), [(60.0, 48.0), (46.0, 59.9)])
+def test_what_is_carried_with_idle_motors_does_not_follow_again(idles_s, ends):
+    """Targets of an autopilot that is disarmed are its attitude."""
+    recording = steered(lambda t: tumbles(t, follows(t)), follows)
+    ((_, end),) = control_lost(driven(recording, lambda t: (t < idles_s) | (t > 58.5)))
+    assert end == pytest.approx(ends, abs=0.7)
+
+
+def test_control_may_be_lost_twice():
+    twice = steered(lambda t: np.where(t > 55.0, 0.8, tumbles(t, follows(t))), follows)
+    (_, end), (begin, last) = control_lost(twice)
+    assert end < begin == pytest.approx(55.0, abs=0.3)
+    assert last == pytest.approx(59.9)
 
 
 def between(t, begin, end, inside, outside=0.0):

@@ -68,8 +68,8 @@ def _in_another_unit(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list
         found = _agreeing(t_s, {**columns, **{n: factor * columns[n] for n in _ATTITUDE}})
         if len(found) >= _AGREES:
             return [
-                f"{', '.join(_ATTITUDE)} go with {' and '.join(found[:_AGREES])} if they are multiplied by {factor:.3g}, and not as they are: "
-                f"{said}; {REMEDY}"
+                f"{', '.join(_ATTITUDE)} do not go with {' and '.join(found[:_AGREES])}, and do if they are multiplied by "
+                f"{factor:.3g}: {said}; {REMEDY}"
             ]
     return []
 

@@ -19,6 +19,7 @@ from flighttest.identify.free_flight import fit_by_prediction_errors, parts_by_p
 from flighttest.identify.free_flight.winds import WIND_TERM
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_blocks import ModelData, QualityBlock
+from flighttest.identify.selection import LOG_REFERENCES, NOTHING_ASKED, nothing_asked
 from flighttest.identify.validation.block_coordinate_descent import cross_checked
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
@@ -159,6 +160,8 @@ def fit_segments(
     """The paper's model, plus named terms, fitted jointly to all usable segments."""
     options = options or FitRequest()
     usable = [s for s in segments if s.usable]
+    if nothing_asked(segments):
+        raise FitError(NOTHING_ASKED, LOG_REFERENCES)
     if not usable:
         raise FitError("no response can be used", "see `flighttest segment` for why each was rejected")
     known = base_model(recordings, vehicle, _terms(options.terms), options.model)

@@ -23,12 +23,13 @@ from flighttest.identify.diagnostics.identifiability import (
 )
 from flighttest.identify.expected_information import Expected, expected_of
 from flighttest.identify.fit import has_attitude_references
+from flighttest.identify.selection import NOTHING_ASKED, nothing_asked
 from flighttest.physics.body import DELAY
 from flighttest.pipeline.identification.fitting import base_model
 from flighttest.pipeline.identification.reporting import provenance
 from flighttest.pipeline.recordings.batteries import battery_of
 from flighttest.pipeline.recordings.sources import open_recording, unreported
-from flighttest.pipeline.recordings.time_budget import time_section
+from flighttest.pipeline.recordings.time_budget import in_the_air_s, time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
@@ -38,7 +39,7 @@ from flighttest.report.render.plain import plain
 from flighttest.report.sections import fit as fit_sections
 from flighttest.report.sections.show import Look, ParameterOutlook, excitation_sentence, sections
 from flighttest.segments import Segment, cut
-from flighttest.segments.airborne import flights
+from flighttest.segments.airborne import flights, takeoffs
 from flighttest.segments.health import at_limits, battery_course, in_flight, modes, sampling, spectra
 from flighttest.version import __version__
 
@@ -87,7 +88,7 @@ def looked(recording: Recording, segments: Sequence[Segment], named: str, column
     )
     return Look(
         recording, sampling(recording), at_limits(recording), spectra(recording), compatible, battery_course(recording), resistance_text,
-        modes(recording), flights(recording), _figures(recording), outlook, why, _commands(outlook, named, columns),
+        modes(recording), flights(recording), _figures(recording, segments), outlook, why, _commands(outlook, named, columns),
     )  # fmt: skip
 
 
@@ -107,6 +108,8 @@ def _outlook(recording: Recording, segments: Sequence[Segment]) -> tuple[tuple[P
             (),
             "There is no flight in this recording: the time budget (--all shows it) says what became of its time.",
         )
+    if nothing_asked(segments):
+        return (), f"What it determines was not computed: {NOTHING_ASKED}."
     if not usable:
         return (), "No response of this recording can be used; the reasons are in the table of responses."
     model = base_model([recording], None)
@@ -136,12 +139,15 @@ def _judged(model: Any, one: Expected) -> ParameterOutlook:
     return ParameterOutlook(one, not why, maneuver_for(param, reveals.get(one.name, "")) if why else "", why)
 
 
-def _figures(recording: Recording) -> tuple[tuple[str, str], ...]:
+def _air_s(recording: Recording, segments: Sequence[Segment]) -> float:
+    """As `import` counts it."""
+    return in_the_air_s(time_data([recording], segments))
+
+
+def _figures(recording: Recording, segments: Sequence[Segment]) -> tuple[tuple[str, str], ...]:
     """Times, hover throttle, highest speed, tilt and height of the flights."""
-    spans = flights(recording)
-    found = [
-        ("in the air", duration(sum(b - a for a, b in spans)) + (f" in {len(spans)} flights" if len(spans) > 1 else ""))
-    ]
+    count, air = len(takeoffs(recording)), duration(_air_s(recording, segments))
+    found = [("in the air", air + (f" in {count} flights" if count > 1 else ""))]
 
     def flown(name: str) -> tuple[Any, Any]:
         t, values = recording.channel(name)
@@ -194,7 +200,7 @@ def _commands(outlook: Sequence[ParameterOutlook], named: str, columns: Path | N
 
 def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
     """What kind of flight, and what it is good for."""
-    air_s = sum(b - a for a, b in look.flights)
+    air_s = _air_s(look.recording, segments)
     used = [s for s in segments if s.usable]
     steps = [s for s in used if s.kind != "free"]
     recording = look.recording

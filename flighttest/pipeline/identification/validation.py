@@ -65,13 +65,14 @@ def validate(
     earlier = model_file.read(beside.previous) if isinstance(beside.previous, Path) else beside.previous
     horizons_s = beside.horizons_s or HORIZONS_S
     recordings = recordings or open_recordings(runs, Reading(columns), progress)
-    segments = [s for s in cut_all(recordings, progress) if not s.between_steps]
+    every = cut_all(recordings, progress)
+    segments = [s for s in every if not s.between_steps]
     progress.stage("running the models open loop")
     usable = [s for s in segments if comparable(s)]
     steps = [s for s in usable if s.kind != "free"]
     found = compare_models(stored, segments, earlier, horizons_s)
     steps_alone = compare_models(stored, steps, earlier, horizons_s) if steps and len(steps) < len(usable) else None
-    left_out = _left_out(segments)
+    left_out = _left_out(every)
     facts = {"model": stored.path or "as fitted", "flights": join([named(r) for r in runs])}
     facts |= _reservations(stored, recordings) | ({"left out": left_out} if left_out else {})
     verdict, tone = _verdict(found)
@@ -135,8 +136,10 @@ def _parted(paths: Sequence[RecordingSource]) -> tuple[Path | None, Sequence[Rec
 def _left_out(segments: Sequence[Segment]) -> str:
     """How many responses are not in the comparison, and why."""
     rejected = sum(not s.usable for s in segments)
-    rest = sum(s.usable and not comparable(s) for s in segments)
+    between = sum(s.usable and s.between_steps for s in segments)
+    rest = sum(s.usable and not s.between_steps and not comparable(s) for s in segments)
     words = [f"{rejected} rejected (see `flighttest segment`)"] if rejected else []
+    words += [f"{between} between steps, in which the vehicle was brought back"] if between else []
     words += [f"{rest} too short or without a recorded throttle"] if rest else []
     return f"of {len(segments)} responses {join(words)}" if words else ""
 

@@ -45,8 +45,9 @@ def time_data(recordings: Sequence[Recording], segments: Sequence[Segment]) -> l
 
 
 def in_the_air_s(data: Sequence[TimeShare]) -> float:
-    """Time in the air of which anything was recorded, s."""
-    return sum(row["seconds"] for row in data if row["use"] not in (Use.GROUND.name.lower(), Use.PAUSE.name.lower()))
+    """Time of which anything was recorded and that is known to be in the air, s: what lost control flies, falls or lies."""
+    elsewhere = [use.name.lower() for use in (Use.GROUND, Use.PAUSE, Use.LOST)]
+    return sum(row["seconds"] for row in data if row["use"] not in elsewhere)
 
 
 def time_section(recordings: Sequence[Recording], segments: Sequence[Segment], *, brief: bool = False) -> Section:
@@ -66,7 +67,7 @@ def time_section(recordings: Sequence[Recording], segments: Sequence[Segment], *
     heads = ("what became of it", "s", "share", "stretches")
     sentence = f"{number(used, 3)} of {number(total, 3)} s are used"
     if nothing_asked(segments):
-        sentence = f"{number(used, 3)} of {number(total, 3)} s were cut, and `fit` refuses them: {NOTHING_ASKED}; {LOG_REFERENCES}"
+        sentence = f"none of {number(total, 3)} s can be used: {NOTHING_ASKED}; {LOG_REFERENCES}"
     if brief:
         short = f"{sentence}; --all shows what became of the rest."
         return Section("time", "", (Table(heads, rows, ("left", "right", "right", "right"), brief=short),))
