@@ -42,9 +42,11 @@ def make_files(folder: Path) -> dict[str, Path]:
     """Things that are no file of the kind they are given for."""
     folder.mkdir(parents=True)
     t_s = np.arange(200) * 0.02
-    recording = Recording(
-        "r", {"attitude": Series(t_s, {"roll_rad": np.sin(t_s)})}, (), Provenance("a.csv", "table", "")
-    )
+    series = {
+        "attitude": Series(t_s, {"roll_rad": np.sin(t_s)}),
+        "reference": Series(t_s, {"throttle": 0.4 + 0.1 * np.sin(t_s)}),
+    }
+    recording = Recording("r", series, (), Provenance("a.csv", "table", ""))
     good = folder / "good"
     write_recording(good, recording)
     made = {

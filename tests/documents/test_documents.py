@@ -50,3 +50,8 @@ def test_nearest_words():
     assert nearest("zzzz", ["throttle", "height"]) is None
     assert nearest("yaw", CHANNELS) == "yaw_rad"
     assert nearest("target_x", CHANNELS) is None  # voltage_v was offered
+    assert nearest("stateX", [*CHANNELS, "t_s", "step"]) is None  # step was offered
+    assert nearest("stpe", ["step"]) == "step"
+    assert nearest("throttel", CHANNELS) == "throttle"
+    assert nearest("roll_rda", CHANNELS) == "roll_rad"
+    assert nearest("Throttle", CHANNELS) == "throttle"

@@ -57,7 +57,8 @@ class Fault:
     false_disarmed: one HEARTBEAT that is not so; presses: how often Ctrl-C is pressed; disk: the disk of the record is full; cut: the
     first frame each way breaks off in its middle, as where a connection is reset; kill: the pilot stops the motors, once; no_beats: the
     vehicle's HEARTBEATs are lost meanwhile; back_after_s: when the pilot chooses GUIDED_NOGPS; anew: the vehicle's clock begins anew,
-    which nothing else shows; arm: the pilot arms, once; broken: the transport raises an error of a kind that the code does not expect.
+    which nothing else shows; arm: the pilot arms, once; broken: the transport raises an error of a kind that the code does not expect;
+    old_beats: how many HEARTBEATs after the pilot's switch show the mode of before.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Fault:
     kill: bool = False
     arm: bool = False
     no_beats: bool = False
+    old_beats: int = 0
     back_after_s: float | None = None
     anew: bool = False
     broken: bool = False
@@ -129,6 +131,7 @@ class Proxy:
         self._twin_next_s = 0.0
         self._free_s: dict[bool, float] = {}  # when a serial line will have sent all, by whether it is the uplink
         self._done: set[str] = set()
+        self._mode, self._old_beats = 0, 0
         self._reached: dict[When | FlightState, float] = {}
 
     def clock(self) -> FollowedClock:
@@ -299,8 +302,14 @@ class Proxy:
         if kind == "PARAM_VALUE" and message.param_id == "SIM_LOCKSTEP":  # type: ignore[attr-defined]
             value = (message.param_value, message.param_type, message.param_count, message.param_index)  # type: ignore[attr-defined]
             return bytes(dialect.MAVLink_param_value_message(b"SIM_NO_LOCKSTEP", *value).pack(again))
+        if kind == "HEARTBEAT" and self.switched_s is None:
+            self._mode = int(message.custom_mode)  # type: ignore[attr-defined]
         if self.began_s is None or self.now_s < self.began_s:
             return bytes(message.get_msgbuf())  # type: ignore[attr-defined]
+        if kind == "HEARTBEAT" and self.switched_s is not None and self._old_beats < fault.old_beats:
+            self._old_beats += 1
+            message.custom_mode = self._mode  # type: ignore[attr-defined]
+            return bytes(message.pack(again))  # type: ignore[attr-defined]
         if kind == "HEARTBEAT" and self._once("false", fault.false_mode is not None or fault.false_disarmed):
             if fault.false_mode is not None:
                 message.custom_mode = int(fault.false_mode)  # type: ignore[attr-defined]

@@ -160,11 +160,11 @@ def fit_segments(
     """The paper's model, plus named terms, fitted jointly to all usable segments."""
     options = options or FitRequest()
     usable = [s for s in segments if s.usable]
+    known = base_model(recordings, vehicle, _terms(options.terms), options.model)
     if nothing_asked(segments):
         raise FitError(NOTHING_ASKED, LOG_REFERENCES)
     if not usable:
         raise FitError("no response can be used", "see `flighttest segment` for why each was rejected")
-    known = base_model(recordings, vehicle, _terms(options.terms), options.model)
     model = replace(known, attitude_loops=has_attitude_references(usable))
     progress.stage(f"fitting {len(usable)} responses")
     held, ties = _held(options.freeze, model), _ties(options.tie)
