@@ -23,7 +23,7 @@ IDLE = 0.05  # mean command below which nothing is carried
 # 0.007 to 0.028 by motor and vehicle.
 REPEATS = 0.025
 SHOWS = 3.0  # standard deviations from the other flights: one motor of a hundred flights of four by chance
-FEWEST = 3  # flights of which one can be distinguished from the others
+FEWEST = 2  # flights that can be compared
 
 
 @dataclass(frozen=True)
@@ -62,4 +62,13 @@ def _apart(one: MotorShares, every: Sequence[MotorShares]) -> tuple[int, ...]:
     if len(others) + 1 < FEWEST:
         return ()
     off = one.shares - np.median(np.stack(others), axis=0)
-    return tuple(int(k) + 1 for k in np.flatnonzero(off > SHOWS * np.hypot(REPEATS, one.std)))
+    shown = off > np.hypot(least_shift(len(every)), SHOWS * one.std)
+    if len(others) == 1:
+        # Shares are about their mean: what one motor does more in this flight the others do more in the other one, each by a third.
+        shown &= off == np.max(np.abs(off))
+    return tuple(int(k) + 1 for k in np.flatnonzero(shown))
+
+
+def least_shift(flights: int) -> float:
+    """By how much more a motor's share of one flight must be than the median of the others, of so many flights in all: both repeat."""
+    return SHOWS * REPEATS * float(np.sqrt(1.0 + 1.0 / (flights - 1)))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flighttest.identify.motor_shares import MOTORS, motor_shares
+from flighttest.identify.motor_shares import MOTORS, REPEATS, least_shift, motor_shares
 from flighttest.segments.model import Segment
 
 
@@ -32,9 +32,20 @@ def test_what_undamaged_vehicles_do_is_no_damage():
     assert not any(f.apart for f in motor_shares(flown))
 
 
-def test_two_flights_are_not_enough_to_say_which_is_the_damaged_one():
-    found = motor_shares(windows("a", SOUND) + windows("b", (1.0, 0.8, 1.4, 0.8)))
-    assert not any(f.apart for f in found)
+@pytest.mark.parametrize(("third", "apart"), [(1.5, (3,)), (1.4, (3,)), (1.27, (3,)), (1.22, ())])
+def test_of_two_flights_the_motor_that_makes_up_for_its_propeller_is_named(third, apart):
+    """Two flights were not compared at all. One motor does more in the second, which the others then do more in the first."""
+    rest = (SOUND[2] - third) / 3.0
+    damaged = tuple(v + rest if k != 2 else third for k, v in enumerate(SOUND))
+    for flights in (("a", "b"), ("b", "a")):
+        found = motor_shares([s for f in flights for s in windows(f, SOUND if f == "a" else damaged)])
+        assert {f.flight: f.apart for f in found} == {"a": (), "b": apart}
+
+
+def test_the_fewer_flights_there_are_the_more_a_share_must_differ():
+    """The median of the others is known no better than they repeat."""
+    assert [round(least_shift(n) / REPEATS, 2) for n in (2, 3, 100)] == [4.24, 3.67, 3.02]
+    assert motor_shares(windows("alone", SOUND))[0].apart == ()
 
 
 def test_without_motor_commands_or_at_rest_nothing_is_said():

@@ -10,7 +10,7 @@ from typing import TypedDict
 from flighttest.errors import FlighttestError, InputError
 from flighttest.identify.free_flight.winds import STILL_STD_M_S, Winds, wind_rows, winds
 from flighttest.identify.models.model_blocks import FlightWindRow
-from flighttest.identify.motor_shares import FEWEST, REPEATS, SHOWS, motor_shares
+from flighttest.identify.motor_shares import FEWEST, REPEATS, least_shift, motor_shares
 from flighttest.physics.model import Model
 from flighttest.recording import Recording
 from flighttest.report.document import Cell, Paragraph, Section, Table
@@ -132,13 +132,16 @@ def motor_section(segments: Sequence[Segment]) -> tuple[Section | None, MotorsDa
     table = Table(columns, rows, ("left", "right", "right", "right", "right"))
     apart = [f"motor {k} in {f.flight}" for f in found for k in f.apart]
     if apart:
-        lead = f"More than in the other flights is asked of {join(apart)}: look at its propeller and motor, or for a load near it."
+        which = "other flight" if len(found) == FEWEST else "other flights"
+        lead = f"More than in the {which} is asked of {join(apart)}: look at its propeller and motor, or for a load near it."
     elif len(found) < FEWEST:
-        lead = f"Commands over their mean; {FEWEST} flights or more are compared with each other."
+        lead = "Commands over their mean; two flights or more are compared with each other."
     else:
         lead = "No motor of a flight works harder than in the others."
-    least = f"A share {SHOWS * REPEATS:.3f} above the other flights' median shows; undamaged vehicles repeat theirs to {REPEATS:g}."
+    least = f"Undamaged vehicles repeat their shares to {REPEATS:g}"
+    if len(found) >= FEWEST:
+        least = f"A share {least_shift(len(found)):.3f} above the other flights' median shows; {least[0].lower()}{least[1:]}"
     data: list[MotorRow] = [
         {"flight": f.flight, "shares": f.shares.tolist(), "std": f.std.tolist(), "apart": list(f.apart)} for f in found
     ]
-    return Section("motors", "Load of the motors", (table, Paragraph(least, "quiet")), lead), {"motors": data}
+    return Section("motors", "Load of the motors", (table, Paragraph(f"{least}.", "quiet")), lead), {"motors": data}
