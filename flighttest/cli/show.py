@@ -62,8 +62,8 @@ class Show:
 
     @property
     def live(self) -> bool:
-        """Whether a live picture may be drawn (a terminal, not a file or a pipe)."""
-        return self.side.is_terminal
+        """Whether a live picture may be drawn: on a terminal that can erase it, not in a file or a pipe."""
+        return self.side.is_terminal and not self.side.is_dumb_terminal
 
     def say(self, text: str, style: str = "") -> None:
         """One line of progress or notice; on a terminal folded between words, elsewhere whole."""

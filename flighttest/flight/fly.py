@@ -16,7 +16,7 @@ from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.placing import place_home, place_zone
 from flighttest.flight.execution.scheduler import Scheduler
 from flighttest.flight.gate import GateLimits
-from flighttest.flight.leaving import left_words, may_restore, records_behind
+from flighttest.flight.leaving import left_words, may_restore, record_fall, records_behind
 from flighttest.flight.options import FlightSettings
 from flighttest.flight.outcome import FlightEnded, FlightOutcome
 from flighttest.flight.preparation import preflight, priority
@@ -366,6 +366,7 @@ class _Flight:
 
     def _close(self) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
+        record_fall(self._control)
         self._external_changes.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}
         if self._fence is not None:

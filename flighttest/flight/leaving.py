@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Mapping
 
+from flighttest.errors import FlighttestError
 from flighttest.flight.execution.control import FlightControl
 from flighttest.flight.execution.machine import FlightState
 from flighttest.flight.execution.supervisor import UNSEEN_S
 from flighttest.flight.gate import on_ground
+from flighttest.flight.outcome import FlightEnded
 from flighttest.flight.preparation.changes import LeftParameter, changed_values, record_of
 from flighttest.flight.preparation.fence import FenceSet, fence_data
 from flighttest.flight.preparation.preflight import figure
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.recording.manifest import Manifest
 
+_FALL_S = 5.0  # from 120 m
 _DOWN = frozenset({FlightState.GROUND, FlightState.ARMING, FlightState.NOT_ARMED, FlightState.LANDED})
+
+
+def record_fall(control: FlightControl | None) -> None:
+    """Record how a vehicle that was disarmed in flight comes down, until a second after it is seen near the ground; nothing is sent that
+    moves it, and nothing is raised."""
+    if control is None or control.machine.state is not FlightState.DISARMED:
+        return
+    session = control.session
+    began = session.now_s()
+    with contextlib.suppress(FlighttestError, FlightEnded):
+        while not control.stop_now and 0.0 <= session.now_s() - began < _FALL_S:
+            down = on_ground(control.state, control.gate)
+            control.until(session.now_s() + (1.0 if down else 0.1))
+            if down:
+                return
 
 
 def may_restore(vehicle: ArduPilot, control: FlightControl | None) -> bool:

@@ -38,6 +38,17 @@ def test_a_log_file_gets_the_alarm_as_a_line_without_a_bell() -> None:
     assert "\a" not in out.getvalue()
 
 
+def test_a_terminal_that_cannot_erase_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With TERM=dumb nothing of a flight was shown until its end, and the next text began in a line that had not ended."""
+    monkeypatch.setenv("TERM", "dumb")
+    out = io.StringIO()
+    with LiveProgress(Show(out=out, colour=True, width=200)) as progress:
+        progress.stage("checking the vehicle")
+        progress.flight(FlightProgress(1, 2, "flying", "", "", 1.0, 1.0))
+    assert [line.strip() == "" for line in out.getvalue().split("\n")] == [False, False, True]
+    assert "\x1b[?25" not in out.getvalue()
+
+
 def test_nothing_is_drawn_over_the_question_before_arming(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seen: the bar of "checking the vehicle" was drawn again four times a second in the question's place."""
     out, err = io.StringIO(), io.StringIO()

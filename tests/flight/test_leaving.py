@@ -79,8 +79,31 @@ def test_a_vehicle_that_falls_is_not_sent_a_parameter(run_dir: Path) -> None:
     link.deaf = killed
     result = fly(make_plan(), "sim", run_dir, transport=link)
     assert result.outcome is FlightOutcome.DISARMED
-    assert len(began) == 1, "no parameter is set"
-    assert set(SET) <= set(result.parameters_left)
+    t_s, height = open_run(run_dir).channel("height_m")
+    assert height[t_s < done[0]][-1] > 3.0
+    down_s = float(t_s[(t_s > done[0]) & (height < 0.5)][0])
+    assert t_s[-1] > down_s, "the fall is recorded: the record ended 4 m above the ground"
+    assert all(t > down_s for t in began[1:]), "no parameter is set while it falls"
+    assert result.parameters_left == {}
+
+
+def test_a_fall_that_nothing_shows_ends_the_wait_for_it(run_dir: Path) -> None:
+    link = FaultyLink(options(parameters=SET))
+    began = at_step(link)
+    done: list[float] = []
+
+    def killed(t_s: float) -> bool:
+        if began and not done and t_s > began[0] + 0.2:
+            done.append(t_s)
+            stop_motors(link)
+        return False
+
+    link.deaf = killed
+    link.silenced = lambda kind, _t: bool(done) and kind in {"GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD"}
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.DISARMED
+    assert 5.0 < link.sim.time_s - done[0] < 8.0
+    assert len(began) == 1, "no parameter is set where it is not seen to be down"
 
 
 def test_a_vehicle_that_is_left_in_the_air_is_not_sent_a_parameter(run_dir: Path) -> None:

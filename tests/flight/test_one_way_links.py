@@ -9,7 +9,7 @@ import pytest
 
 from flighttest.errors import LinkError
 from flighttest.flight import FlightProgress, LegOutcome
-from flighttest.flight.execution.control import NOT_ANSWERED, NOT_HEARD
+from flighttest.flight.execution.control import NOT_ANSWERED, NOT_HEARD, TAKE_OVER
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import dialect, parser
 from flighttest.plan import AttitudeTarget
@@ -78,7 +78,7 @@ def test_a_pilot_is_asked_to_take_over_while_the_link_is_lost(
     link.mute = lambda t: both and bool(began) and t > began[0] + 0.1
     seen: list[FlightProgress] = []
     fly(make_plan(), "sim", run_dir, transport=link, on_progress=seen.append)
-    said = [p.t_s for p in seen if p.alarm == words]
+    said = [p.t_s for p in seen if p.alarm == f"{words}: {TAKE_OVER}"]
     assert said[0] - began[0] < within_s
     assert len(said) > 0.9 * len([p for p in seen if p.t_s > said[0]]), "as long as it is lost"
 

@@ -162,3 +162,26 @@ def test_one_heartbeat_of_before_the_switch_was_moved_is_no_request_that_overrul
     """An autopilot may report its mode of before once more after the switch is seen to have moved, here after the fourth HEARTBEAT."""
     fault = Fault("pilot", 60.0, pilot_after_s=0.0, old_beats=old_beats)
     assert fly_cell(fault, When.FLYING, run_dir).ended == f"TAKE_OVER, {left}"
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_no_alarm_asks_for_a_switch_that_is_not_received(lost: bool, run_dir: Path) -> None:
+    """ "The mode switch has no effect" was followed by "PILOT, take over with the mode switch"."""
+    link = FaultyLink(options())
+    began: list[float] = []
+
+    def look(message: object, now: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(" step") and not began:  # type: ignore[attr-defined]
+            began.append(now)
+            if lost:
+                off = (dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, dialect.MAVLINK_MSG_ID_SYS_STATUS, -1.0, *([0] * 5))
+                link.sim.send(bytes(dialect.MAVLink_command_long_message(1, 1, *off).pack(parser(255, 190))))
+                link.say(1, status(RECEIVER, 0))
+            link.sim.vehicle.set_mode(int(CopterMode.RTL))  # by its failsafe
+
+    link.hook = look
+    alarms: list[str] = []
+    fly(make_plan(), "sim", run_dir, transport=link, on_progress=lambda p: alarms.append(p.alarm))
+    [text] = {a for a in alarms if "nothing is sent any more" in a}
+    assert ("take over with the mode switch" in text) is not lost
+    assert ("transmitter is not received" in text) is lost

@@ -114,7 +114,9 @@ def test_a_seed_gives_the_same_flight_again(call, script, tmp_path):
     script.write_text(SHORT % 1)
     flown = []
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
-        assert call("run", script, "--out", tmp_path / name, "--seed", seed, "--only", "fly")[0] == 0
+        code, out, err = call("run", script, "--out", tmp_path / name, "--seed", seed, "--only", "fly")
+        assert code == 0
+        assert " ".join((out + err).split()).count("steps flown; the plan was flown to its end") == 1
         (run,) = (tmp_path / name).iterdir()
         flown.append(open_run(run).channel("r_rad_s"))
     (t_a, r_a), (t_b, r_b), (_, r_c) = flown

@@ -30,8 +30,10 @@ from flighttest.plan import AttitudeTarget
 UNSURE_S = (
     0.3  # without an answer: a question in 0.25 s (session.TIMESYNC_EVERY_S), and 50 ms for the way there and back
 )
-NOT_HEARD = "the vehicle is not heard any more: PILOT, take over with the mode switch"
-NOT_ANSWERED = "the vehicle does not answer any more: PILOT, take over with the mode switch"
+NOT_HEARD = "the vehicle is not heard any more"
+NOT_ANSWERED = "the vehicle does not answer any more"
+TAKE_OVER = "PILOT, take over with the mode switch"
+NO_SWITCH = "the pilot's transmitter is not received: keep clear, it flies by its own failsafes"
 AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for less delays no target
 CONFIRMED_WITHIN_S = 2.5  # after a HEARTBEAT that contradicts those before: the next one comes within a second
 UNLIKE_BEATS = 2  # in a row, as for a take-over; the first after the switch was seen may be of before
@@ -218,12 +220,15 @@ class FlightControl:
             who = "the pilot moved the mode switch" if by_switch else "by the pilot, a failsafe, the fence or a station"
             self._mode = shown.mode
             self._chosen = self._switch_modes.get(self.mode_switch.position or 0) if by_switch else None
-            self.alarm(
-                f"in {mode_name(shown.mode)} ({who}): nothing is sent any more; PILOT, take over with the mode switch"
-            )
+            self.alarm(f"in {mode_name(shown.mode)} ({who}): nothing is sent any more; {self._to_do}")
         elif not self._landing:
             self.recorder.event("note", "disarmed in flight", t_s)
         self.on(shown.event)
+
+    @property
+    def _to_do(self) -> str:
+        """What an alarm asks for: of a transmitter that is not received no mode switch takes over."""
+        return NO_SWITCH if self._transmitter.lost else TAKE_OVER
 
     @property
     def _landing(self) -> bool:
@@ -238,7 +243,7 @@ class FlightControl:
             if link in BROKEN:
                 self.recorder.event("note", f"link: {link.value}", self.state.t_s)
         if link in BROKEN and self.machine.ours:
-            self.alarm(NOT_HEARD if link is LinkState.LOST else NOT_ANSWERED)
+            self.alarm(f"{NOT_HEARD if link is LinkState.LOST else NOT_ANSWERED}: {self._to_do}")
         text = self.streams.keep() if self.machine.ours else ""
         if text:
             self.recorder.event("note", text, self.state.t_s)

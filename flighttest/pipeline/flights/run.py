@@ -218,8 +218,10 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             break
         ends.append(ended)
         folders.append(ended.run_dir)
-        notes += [n for n in ended.notes if n not in notes]
         over = ended.outcome is not FlightOutcome.COMPLETED or not ended.left.is_safe
+        if not (request.fly_only and (over or plan is due[-1][1])):  # the answer that follows begins with it
+            progress.stage(f"{plan.script.name}: {_how_it_ended(plan, ended)}")
+        notes += [n for n in ended.notes if n not in notes]
         lacking = [one.script.name for _, one in due[count + 1 :]] if over else []
         resume = resume_command(
             plan, ended, earlier, [names[k] for k, _ in due[count:]] if lacking else [], asked_again
@@ -322,20 +324,19 @@ def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightSettings
             system=request.sysid or asked.system,
             confirm=request.confirm,
         )
-        ended = fly(plan, url, folder, wanted, transport=link)
+        return fly(plan, url, folder, wanted, transport=link)
+
+
+def _how_it_ended(plan: Plan, ended: FlightResult) -> str:
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
-    progress.stage(f"{plan.script.name}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
-    return ended
+    return f"{flown} of {len(plan.legs)} steps flown; {ended.sentence}"
 
 
 def _flown(
     plans: Sequence[Plan], folders: Sequence[Path], ends: Sequence[FlightResult], notes: Sequence[str], usable: bool
 ) -> Result:
     """What `--only fly` shows: how the flights ended and where they are."""
-    lines = []
-    for plan, ended in zip(plans, ends, strict=False):
-        flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
-        lines.append(f"{ended.run_dir}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
+    lines = [f"{ended.run_dir}: {_how_it_ended(plan, ended)}" for plan, ended in zip(plans, ends, strict=False)]
     blocks: list[PageBlock] = [Bullets(tuple(lines))]
     if notes:
         blocks.append(Bullets(tuple(notes)))
