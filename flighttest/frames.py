@@ -23,6 +23,16 @@ _FLIP_VECTOR = np.array([1.0, -1.0, -1.0])
 _FLIP_QUATERNION = np.array([1.0, 1.0, -1.0, -1.0])
 
 
+def _parts(values: FloatArray) -> list[Any]:
+    """Components on the last axis: arrays, or of a single vector plain numbers, which are quicker to calculate with and round the same."""
+    return values.tolist() if values.ndim == 1 else list(np.moveaxis(values, -1, 0))
+
+
+def _joined(parts: list[Any]) -> FloatArray:
+    """The reverse of `_parts`."""
+    return np.array(parts) if isinstance(parts[0], float) else np.stack(parts, axis=-1)
+
+
 def flip_vector(vector: ArrayLike) -> FloatArray:
     """NED to NWU, FRD to FLU, and back: (..., 3) positions, velocities, accelerations or rates."""
     flipped: FloatArray = np.multiply(np.asarray(vector, dtype=float), _FLIP_VECTOR)
@@ -39,6 +49,11 @@ def flip_euler(rpy: ArrayLike) -> FloatArray:
     """Roll, pitch, yaw (rad) of FRD in NED as those of FLU in NWU, and back: (..., 3)."""
     flipped: FloatArray = np.multiply(np.asarray(rpy, dtype=float), _FLIP_VECTOR)
     return flipped
+
+
+def flip_components(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
+    """The components of a vector, or roll, pitch and yaw, from NED to NWU or FRD to FLU, and back; numbers or arrays."""
+    return x, -y, -z
 
 
 _ENU_TO_NWU_QUATERNION = np.array([math.cos(-math.pi / 4), 0.0, 0.0, math.sin(-math.pi / 4)])
@@ -76,30 +91,29 @@ def euler_from_quaternion(q: ArrayLike) -> FloatArray:
 def quaternion_from_euler(rpy: ArrayLike) -> FloatArray:
     """Unit quaternion of roll, pitch, yaw (rad, ZYX): (..., 3) to (..., 4)."""
     half = 0.5 * np.asarray(rpy, dtype=float)
-    cr, cp, cy = np.moveaxis(np.cos(half), -1, 0)
-    sr, sp, sy = np.moveaxis(np.sin(half), -1, 0)
-    return np.stack(
+    cr, cp, cy = _parts(np.cos(half))
+    sr, sp, sy = _parts(np.sin(half))
+    return _joined(
         [
             cr * cp * cy + sr * sp * sy,
             sr * cp * cy - cr * sp * sy,
             cr * sp * cy + sr * cp * sy,
             cr * cp * sy - sr * sp * cy,
-        ],
-        axis=-1,
+        ]
     )
 
 
 def rotation_from_euler(rpy: ArrayLike) -> FloatArray:
     """R, body to world (paper Eq. 2), of roll, pitch, yaw (rad): (..., 3) to (..., 3, 3)."""
     rpy = np.asarray(rpy, dtype=float)
-    cr, cp, cy = np.moveaxis(np.cos(rpy), -1, 0)
-    sr, sp, sy = np.moveaxis(np.sin(rpy), -1, 0)
+    cr, cp, cy = _parts(np.cos(rpy))
+    sr, sp, sy = _parts(np.sin(rpy))
     rows = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
         [-sp, cp * sr, cp * cr],
     ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.array(rows) if rpy.ndim == 1 else np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def euler_rates_from_body(rpy: ArrayLike, rates: ArrayLike) -> FloatArray:

@@ -10,9 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
-
 from flighttest.flight.state import VehicleState
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.mavlink import CopterMode
@@ -254,21 +251,24 @@ def zone_clearance_m(state: VehicleState, gate: GateLimits) -> float:
     """Least distance, m, between a wall and any place on the way to a stop; negative outside. An old position has moved on since."""
     assert state.position_m is not None
     assert state.velocity_m_s is not None
-    here = gate.zone.from_world([state.position_m[0], state.position_m[1], 0.0])
+    here = gate.zone.over_ground(state.position_m[0], state.position_m[1])
     age = state.position_age_s if math.isfinite(state.position_age_s) else 0.0
     # Until the stop acts it goes on as it leans now.
-    velocity, push, wait = np.array(state.velocity_m_s[:2]), _push(state.attitude_rad), gate.reaction_s
-    later = velocity * (age + wait) + 0.5 * push * wait**2
-    then = velocity + push * wait
-    stopped = later + then * math.hypot(*then) / (2.0 * gate.brake_m_s2)
-    places = np.array([here, *(here + gate.zone.from_world([x, y, 0.0]) for x, y in (later, stopped))])[:, :2]
-    low, high = np.array([gate.zone.x_m, gate.zone.y_m]).T
-    return float(np.min([places - low, high - places]))  # NaN where a place is not a number: none
+    wait, pushes = gate.reaction_s, _push(state.attitude_rad)
+    later = [v * (age + wait) + 0.5 * push * wait**2 for v, push in zip(state.velocity_m_s[:2], pushes, strict=True)]
+    then = [v + push * wait for v, push in zip(state.velocity_m_s[:2], pushes, strict=True)]
+    speed = math.hypot(*then)
+    stopped = [at + v * speed / (2.0 * gate.brake_m_s2) for at, v in zip(later, then, strict=True)]
+    gaps = []
+    for moved in (gate.zone.over_ground(*later), gate.zone.over_ground(*stopped), (0.0, 0.0)):
+        for start, way, (low, high) in zip(here, moved, (gate.zone.x_m, gate.zone.y_m), strict=True):
+            gaps += [start + way - low, high - (start + way)]
+    return math.nan if any(map(math.isnan, gaps)) else min(gaps)  # NaN where a place is not a number: none
 
 
-def _push(attitude_rad: tuple[float, float, float] | None) -> NDArray[np.float64]:
-    """Horizontal acceleration (2,), m/s^2, NWU, of a vehicle that holds its height at this roll, pitch and yaw; none where not known."""
+def _push(attitude_rad: tuple[float, float, float] | None) -> tuple[float, float]:
+    """Horizontal acceleration, m/s^2, NWU, of a vehicle that holds its height at this roll, pitch and yaw; none where not known."""
     if attitude_rad is None:
-        return np.zeros(2)
-    up = rotation_from_euler(attitude_rad)[:, 2]
-    return np.asarray(G_M_S2 * up[:2] / max(float(up[2]), 0.5))
+        return 0.0, 0.0
+    x, y, z = rotation_from_euler(attitude_rad)[:, 2].tolist()
+    return G_M_S2 * x / max(z, 0.5), G_M_S2 * y / max(z, 0.5)

@@ -21,7 +21,12 @@ VOLTAGE_MEAN_S = 2.0
 VOLTAGE_LOST_S = 10.0  # without a new one: then the battery is not known any more
 _EKF_REPORT_S = 5.0  # it reports five times a second
 _PRESSURE_SCALE_M, _PRESSURE_EXPONENT = 44330.8, 0.190263  # international standard atmosphere
+_POSITION, _VELOCITY = names("position"), names("velocity")
 _FRESH_S = 1.0  # a preferred message older than this gives way to the next one of its group
+
+
+_SUMMED = frozenset({"VFR_HUD", "SCALED_PRESSURE", "BATTERY_STATUS", "SYS_STATUS"})
+"""Messages of which more counts than the latest."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,7 @@ class StateReader:
         self.origin_m = np.zeros(3)
         self.throttle_channel = 3
         self._voltages: deque[tuple[float, float]] = deque()
+        self._voltage_mean_v: float | None = None  # of these, once it is asked for
         self.height_source = ""
         self._climbed_m = 0.0
         self._climb_heard_s: float | None = None
@@ -103,6 +109,8 @@ class StateReader:
 
     def _listen(self, message: Message, t_s: float) -> None:
         kind = message.get_type()
+        if kind not in _SUMMED:
+            return
         if kind == "VFR_HUD":
             self._sum_climb(float(message.climb), t_s)
         elif kind == "SCALED_PRESSURE" and (self._ground_hpa is None or not self._armed()):
@@ -110,10 +118,10 @@ class StateReader:
             self._ground_hpa = before + 0.1 * (float(message.press_abs) - before)
         if kind not in ("BATTERY_STATUS", "SYS_STATUS"):
             return
-        rule = next(r for r in rules_of("battery") if r.message == kind)
-        values = columns_of(rule, message)
+        values = self._values_of(message, "battery")
         if values and math.isfinite(values["voltage_v"]):
             self._voltages.append((t_s, values["voltage_v"]))
+            self._voltage_mean_v = None
             while self._voltages and t_s - self._voltages[0][0] > VOLTAGE_MEAN_S:
                 self._voltages.popleft()
 
@@ -129,16 +137,16 @@ class StateReader:
             self._climbed_m += climb_m_s * min(t_s - self._climb_heard_s, _FRESH_S)
         self._climb_heard_s = t_s
 
-    def _group(self, group: str) -> tuple[dict[str, float], float, Message | None]:
-        """The freshest values of a group by order of preference, their age, s, and the message that they are from."""
-        return self._group_named(group, tuple(rule.message for rule in rules_of(group)))
-
-    def _group_named(self, group: str, messages: tuple[str, ...]) -> tuple[dict[str, float], float, Message | None]:
+    def _group(
+        self, group: str, messages: tuple[str, ...] | None = None
+    ) -> tuple[dict[str, float], float, Message | None]:
+        """The freshest values of a group by order of preference, their age, s, and the message that they are from. messages: which may be
+        taken, None for all."""
         now = self._session.now_s()
         best: tuple[Rule, float] | None = None
         for rule in rules_of(group):
             heard = self._session.latest.get(rule.message)
-            if heard is None or rule.message not in messages:
+            if heard is None or (messages is not None and rule.message not in messages):
                 continue
             age = now - heard.t_s
             if age <= _FRESH_S:
@@ -163,14 +171,13 @@ class StateReader:
         position = velocity = None
         position_age = math.inf
         if local is not None:
-            p, _ = self._group_of(local.message, "position")
-            v, _ = self._group_of(local.message, "velocity")
-            position = tuple(float(x) for x in np.array([p[n] for n in names("position")]) - self.origin_m)
-            velocity = tuple(v[n] for n in names("velocity"))
+            p = self._values_of(local.message, "position")
+            v = self._values_of(local.message, "velocity")
+            position = tuple([p[n] - o for n, o in zip(_POSITION, self.origin_m.tolist(), strict=True)])
+            velocity = tuple([v[n] for n in _VELOCITY])
             position_age = now - local.t_s
         height, climb, height_of = self._vertical(now, position, velocity, position_age)
         heard = bool(self._voltages) and now - self._voltages[-1][0] <= VOLTAGE_LOST_S
-        voltages = [v for _, v in self._voltages] if heard else []
         ekf = session.latest.get("EKF_STATUS_REPORT")
         # A filter that reports no more has no valid position; neither has one that only assumes to stand still.
         informed = ekf is None or now - ekf.t_s <= _EKF_REPORT_S
@@ -190,7 +197,7 @@ class StateReader:
             position_age_s=position_age,
             height_m=height,
             climb_m_s=climb,
-            voltage_v=float(np.mean(voltages)) if voltages else None,
+            voltage_v=self._mean_voltage_v() if heard else None,
             ekf_ok=ekf is None or bool(flags & dialect.EKF_ATTITUDE),
             position_ok=bool(placed) and local is not None,
             throttle_stick=self._throttle_stick(),
@@ -200,10 +207,16 @@ class StateReader:
             height_before_m=self._heights.of(height_of, height),
         )
 
+    def _mean_voltage_v(self) -> float:
+        if self._voltage_mean_v is None:
+            self._voltage_mean_v = float(np.mean([v for _, v in self._voltages]))
+        return self._voltage_mean_v
+
     @staticmethod
-    def _group_of(message: Message, group: str) -> tuple[dict[str, float], Rule]:
-        rule = next(r for r in rules_of(group) if r.message == message.get_type())
-        return columns_of(rule, message) or {}, rule
+    def _values_of(message: Message, group: str) -> dict[str, float]:
+        kind = message.get_type()
+        rule = next(r for r in rules_of(group) if r.message == kind)
+        return columns_of(rule, message) or {}
 
     def _vertical(
         self, now: float, position: tuple[float, ...] | None, velocity: tuple[float, ...] | None, age: float
@@ -215,7 +228,7 @@ class StateReader:
             return position[2], velocity[2], self._session.latest["LOCAL_POSITION_NED"].message
         climb = self._fresh("VFR_HUD", now)
         climb_m_s = float(climb.climb) if climb is not None else None
-        ground, ground_age, ground_of = self._group_named("height", ("RANGEFINDER", "DISTANCE_SENSOR"))
+        ground, ground_age, ground_of = self._group("height", ("RANGEFINDER", "DISTANCE_SENSOR"))
         fix = self._fresh("GLOBAL_POSITION_INT", now)
         if ground and ground_age < _FRESH_S:
             self.height_source = "a rangefinder"

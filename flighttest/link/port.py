@@ -176,10 +176,11 @@ class MavlinkPort:
         return messages
 
     def _count_lost(self, message: Message) -> None:
-        source = (message.get_srcSystem(), message.get_srcComponent())
+        header = message.get_header()
+        source = (header.srcSystem, header.srcComponent)
         if source not in self._peers:
             self._peers[source] = getattr(self._transport, "sender", None)
-        sequence = message.get_seq()
+        sequence = header.seq
         last = self._sequence.get(source)
         if last is not None:
             missing = (sequence - last - 1) % 256

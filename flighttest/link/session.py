@@ -221,9 +221,10 @@ class Session:
 
     def _is_the_vehicles(self, message: Message) -> bool:
         """Whether a message is from the autopilot that is connected, and none that came later has overtaken it. Notes other vehicles."""
-        if message.get_srcComponent() != COMPONENT_AUTOPILOT:
+        header = message.get_header()
+        if header.srcComponent != COMPONENT_AUTOPILOT:
             return False  # a gimbal or companion computer aboard has the vehicle's system id, but its own mode, clock and answers
-        system = message.get_srcSystem()
+        system = header.srcSystem
         beat = message.get_type() == "HEARTBEAT"
         if beat and not self.vehicle_system and is_vehicle(message):
             self.vehicle_system = system

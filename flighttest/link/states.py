@@ -19,6 +19,8 @@ class LinkState(Enum):
     LOST = "nothing has been heard for 6 s: what waits for an answer ends with an error"
     ONE_WAY = "the vehicle is heard, and has answered nothing for 10 s: what waits for an answer ends with an error"
 
+    __hash__ = object.__hash__  # looked up at every message; Enum's own calculates it anew from the name
+
 
 class LinkEvent(Enum):
     """What changes a link's state. The value is the sentence shown to the reader."""
@@ -29,6 +31,8 @@ class LinkEvent(Enum):
     SILENCE = "no message for 6 s"
     UNANSWERED = "heard, but no answer for 10 s"
     BOOTED = "the vehicle's clock began anew"
+
+    __hash__ = object.__hash__
 
 
 S, E = LinkState, LinkEvent

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,8 @@ class Rule:
 
     stamp: the field with the vehicle's time (`time_boot_ms`, `time_usec`), or None where only the receive time is known.
     fields become arrays (n,) or (n, k) in `raw`; `convert` returns channel name to (n,) SI values in NWU/FLU. keep: which
-    samples belong to this group at all. note: a sentence for the reader where the channel is derived, else empty.
+    samples belong to this group at all. note: a sentence for the reader where the channel is derived, else empty. elementwise: `convert`
+    takes the plain numbers of a single message as well, and gives such.
     """
 
     group: str
@@ -45,23 +46,21 @@ class Rule:
     convert: Callable[[Raw], ChannelColumns]
     keep: Callable[[Raw], NDArray[np.bool_]] | None = None
     note: str = ""
+    elementwise: bool = False
 
 
-def _vector(raw: Raw, names: tuple[str, str, str], scale: float = 1.0) -> FloatArray:
-    return frames.flip_vector(np.stack([raw[n] for n in names], axis=-1)) * scale
+def _double(values: Any) -> Any:
+    return values if isinstance(values, float) else np.asarray(values, dtype=float)
 
 
-def _named(values: FloatArray, *names: str) -> ChannelColumns:
-    return {name: values[..., i] for i, name in enumerate(names)}
+def _vector(raw: Raw, names: tuple[str, str, str]) -> tuple[Any, Any, Any]:
+    """Three fields as the components of a vector in NWU/FLU, numbers or arrays."""
+    return frames.flip_components(*(_double(raw[n]) for n in names))
 
 
 def _attitude(raw: Raw) -> ChannelColumns:
-    return _named(
-        frames.flip_euler(np.stack([raw["roll"], raw["pitch"], raw["yaw"]], axis=-1)),
-        "roll_rad",
-        "pitch_rad",
-        "yaw_rad",
-    )
+    roll, pitch, yaw = _vector(raw, _RPY)
+    return {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw}
 
 
 def _attitude_quaternion(raw: Raw) -> ChannelColumns:
@@ -70,25 +69,29 @@ def _attitude_quaternion(raw: Raw) -> ChannelColumns:
 
 
 def _rates(raw: Raw) -> ChannelColumns:
-    return _named(_vector(raw, ("rollspeed", "pitchspeed", "yawspeed")), "p_rad_s", "q_rad_s", "r_rad_s")
+    p, q, r = _vector(raw, _BODY_RATES)
+    return {"p_rad_s": p, "q_rad_s": q, "r_rad_s": r}
 
 
 def _specific_force(scale: float) -> Callable[[Raw], ChannelColumns]:
     def convert(raw: Raw) -> ChannelColumns:
-        return _named(_vector(raw, ("xacc", "yacc", "zacc"), scale), "f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
+        x, y, z = _vector(raw, _XYZ)
+        return {"f_x_m_s2": x * scale, "f_y_m_s2": y * scale, "f_z_m_s2": z * scale}
 
     return convert
 
 
 def _velocity(scale: float) -> Callable[[Raw], ChannelColumns]:
     def convert(raw: Raw) -> ChannelColumns:
-        return _named(_vector(raw, ("vx", "vy", "vz"), scale), "v_x_m_s", "v_y_m_s", "v_z_m_s")
+        x, y, z = _vector(raw, _V)
+        return {"v_x_m_s": x * scale, "v_y_m_s": y * scale, "v_z_m_s": z * scale}
 
     return convert
 
 
 def _local_position(raw: Raw) -> ChannelColumns:
-    return _named(_vector(raw, ("x", "y", "z")), "p_x_m", "p_y_m", "p_z_m")
+    x, y, z = _vector(raw, ("x", "y", "z"))
+    return {"p_x_m": x, "p_y_m": y, "p_z_m": z}
 
 
 def _global_position(raw: Raw) -> ChannelColumns:
@@ -121,7 +124,7 @@ def _shaped(raw: Raw) -> ChannelColumns:
 def _navigation(raw: Raw) -> ChannelColumns:
     """ArduCopter puts the attitude controller's target there, degrees."""
     euler = frames.flip_euler(np.radians(np.stack([raw["nav_roll"], raw["nav_pitch"], 0.0 * raw["nav_roll"]], axis=-1)))
-    return _named(euler, "roll_shaped_rad", "pitch_shaped_rad")
+    return {"roll_shaped_rad": euler[..., 0], "pitch_shaped_rad": euler[..., 1]}
 
 
 def _battery(raw: Raw) -> ChannelColumns:
@@ -177,14 +180,14 @@ _Q = ("q1", "q2", "q3", "q4")
 _SERVOS = ("servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw")
 
 RULES: tuple[Rule, ...] = (
-    Rule("attitude", "ATTITUDE", "time_boot_ms", _RPY, _attitude),
+    Rule("attitude", "ATTITUDE", "time_boot_ms", _RPY, _attitude, elementwise=True),
     Rule("attitude", "ATTITUDE_QUATERNION", "time_boot_ms", _Q, _attitude_quaternion),
     Rule("rates", "ATTITUDE", "time_boot_ms", _BODY_RATES, _rates),
     Rule("rates", "ATTITUDE_QUATERNION", "time_boot_ms", _BODY_RATES, _rates),
     Rule("specific_force", "HIGHRES_IMU", "time_usec", _XYZ, _specific_force(1.0)),
     Rule("specific_force", "SCALED_IMU", "time_boot_ms", _XYZ, _specific_force(1e-3 * STANDARD_GRAVITY)),
     Rule("specific_force", "RAW_IMU", "time_usec", _XYZ, _specific_force(1e-3 * STANDARD_GRAVITY)),
-    Rule("velocity", "LOCAL_POSITION_NED", "time_boot_ms", _V, _velocity(1.0)),
+    Rule("velocity", "LOCAL_POSITION_NED", "time_boot_ms", _V, _velocity(1.0), elementwise=True),
     Rule("velocity", "GLOBAL_POSITION_INT", "time_boot_ms", (*_V, "lat", "lon"), _velocity(1e-2), keep=_has_fix),
     Rule(
         "velocity",
@@ -194,7 +197,7 @@ RULES: tuple[Rule, ...] = (
         lambda raw: {"v_z_m_s": raw["climb"]},
         note="climb rate of VFR_HUD: no horizontal velocity was recorded",
     ),
-    Rule("position", "LOCAL_POSITION_NED", "time_boot_ms", ("x", "y", "z"), _local_position),
+    Rule("position", "LOCAL_POSITION_NED", "time_boot_ms", ("x", "y", "z"), _local_position, elementwise=True),
     Rule(
         "position",
         "GLOBAL_POSITION_INT",
@@ -268,13 +271,22 @@ RULES: tuple[Rule, ...] = (
 STAMP_SCALE: dict[str, float] = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 
 
+_BY_GROUP: dict[str, tuple[Rule, ...]] = {
+    group: tuple(rule for rule in RULES if rule.group == group) for group in dict.fromkeys(r.group for r in RULES)
+}
+
+
 def rules_of(group: str) -> tuple[Rule, ...]:
     """The rules of one group, best first."""
-    return tuple(rule for rule in RULES if rule.group == group)
+    return _BY_GROUP.get(group, ())
 
 
 def columns_of(rule: Rule, message: Any) -> dict[str, float] | None:
     """Channels of one message under a rule, for the live state; None where the message does not belong to the group."""
+    if rule.elementwise:
+        plain: Any = {name: float(getattr(message, name)) for name in rule.fields}
+        found: Any = rule.convert(plain)
+        return cast("dict[str, float]", found)
     raw = {name: np.asarray([getattr(message, name)], dtype=float) for name in rule.fields}
     if rule.keep is not None and not bool(rule.keep(raw)[0]):
         return None

@@ -1,8 +1,8 @@
-"""Seeded normal numbers, drawn in blocks: one call per number costs more than the number is worth in an inner loop."""
+"""Seeded normal numbers, drawn in blocks: one call of numpy per number costs more than the number is worth in an inner loop."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -10,15 +10,12 @@ _BLOCK = 4096
 
 
 class NoiseStream:
-    """A stream of standard normal numbers; streams of one seed with different names are independent."""
+    """A stream of standard normal numbers; streams of one seed with different names are independent. draw: gives the next number."""
 
     def __init__(self, seed: int, name: str) -> None:
-        self._rng = np.random.default_rng([seed & 0xFFFFFFFF, *name.encode()])
-        self._values: Iterator[float] = iter(())
+        self.draw: Callable[[], float] = _numbers(np.random.default_rng([seed & 0xFFFFFFFF, *name.encode()])).__next__
 
-    def draw(self) -> float:
-        """The next number."""
-        for value in self._values:
-            return value
-        self._values = iter(self._rng.standard_normal(_BLOCK).tolist())
-        return next(self._values)
+
+def _numbers(rng: np.random.Generator) -> Iterator[float]:
+    while True:
+        yield from rng.standard_normal(_BLOCK).tolist()

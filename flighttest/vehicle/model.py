@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,8 +44,12 @@ class Zone:
     def from_world(self, point: ArrayLike) -> NDArray[np.float64]:
         """NWU about the zone's origin to zone coordinates: (..., 3) m."""
         p = np.asarray(point, dtype=float)
+        return np.stack([*self.over_ground(p[..., 0], p[..., 1]), p[..., 2]], axis=-1)
+
+    def over_ground(self, north_m: Any, west_m: Any) -> tuple[Any, Any]:
+        """Zone coordinates x and y, m, of a place north and west of the zone's origin, m; numbers or arrays."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        return np.stack([c * p[..., 0] + s * p[..., 1], -s * p[..., 0] + c * p[..., 1], p[..., 2]], axis=-1)
+        return c * north_m + s * west_m, -s * north_m + c * west_m
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -127,6 +128,17 @@ def test_each_message_by_hand(message: Any, group: str, expected: dict[str, floa
     m = wire(message)
     found = columns_of(rule(m.get_type(), group), m)
     assert found == pytest.approx(expected, nan_ok=True, abs=1e-6)
+
+
+@pytest.mark.parametrize("rule", [r for r in RULES if r.elementwise], ids=lambda r: f"{r.group}-{r.message}")
+def test_one_message_is_converted_as_many_are(rule: Any) -> None:
+    """To the last bit: what the gate judges in flight is what the recording shows."""
+    rng = np.random.default_rng(0)
+    many = {name: rng.normal(size=50).astype(np.float32) for name in rule.fields}
+    columns = rule.convert(many)
+    for i in range(50):
+        one = columns_of(rule, SimpleNamespace(**{name: float(values[i]) for name, values in many.items()}))
+        assert one == {name: values[i] for name, values in columns.items()}
 
 
 def test_an_output_that_is_off_is_no_motor_at_rest() -> None:

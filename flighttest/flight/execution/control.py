@@ -38,6 +38,8 @@ AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for l
 CONFIRMED_WITHIN_S = 2.5  # after a HEARTBEAT that contradicts those before: the next one comes within a second
 UNLIKE_BEATS = 2  # in a row, as for a take-over; the first after the switch was seen may be of before
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
+_WATCHED = frozenset({"HEARTBEAT", "SYS_STATUS", "RC_CHANNELS", "PARAM_VALUE", "STATUSTEXT"})
+"""Messages that show whose vehicle it is, what the transmitter does, what others changed, or a warning."""
 UPLINK_GIVE_UP_S = 60.0  # heard, but without an answer: as long as it may come back it is asked to land
 
 
@@ -147,11 +149,14 @@ class FlightControl:
         if self.session.boots != self._boots:
             self._boots = self.session.boots
             self.on(Event.REBOOTED)
+        kind = message.get_type()
+        if kind not in _WATCHED:
+            return
         text = self._transmitter.look(message)
         if text and self.machine.state is not FlightState.GROUND:
             self.recorder.event("note", text, t_s)
             self.alarm(text)
-        if self.taken_over and message.get_type() == "HEARTBEAT":
+        if self.taken_over and kind == "HEARTBEAT":
             self._watch_late(int(message.custom_mode), is_armed(message), t_s)
         if not self.machine.ours:
             return
@@ -160,13 +165,13 @@ class FlightControl:
             self._unconfirmed = Unconfirmed(Event.FOREIGN_MODE, self.vehicle.mode, t_s, self.session.overtaken)
             self._decide(t_s, by_switch=True)
             return
-        if message.get_type() == "PARAM_VALUE":
+        if kind == "PARAM_VALUE":
             text = self.external_changes.look(message.param_id, float(message.param_value))
             if text:
                 self.recorder.event("note", text, t_s)
-        if message.get_type() == "STATUSTEXT" and is_warning(message):
+        if kind == "STATUSTEXT" and is_warning(message):
             self.alarm(f"message of the vehicle: {message.text.strip()}")
-        if message.get_type() == "HEARTBEAT":
+        if kind == "HEARTBEAT":
             self._watch_mode(int(message.custom_mode), is_armed(message), t_s)
 
     def _watch_late(self, mode: int, armed: bool, t_s: float) -> None:

@@ -42,6 +42,8 @@ class FlightState(Enum):
     DISARMED = "the vehicle is disarmed: where it came down was not seen"
     UNKNOWN = "what the vehicle does is not known, it was last heard in {mode}: take it over with the mode switch"
 
+    __hash__ = object.__hash__  # looked up at every message; Enum's own calculates it anew from the name
+
     @property
     def is_end(self) -> bool:
         """Whether nothing follows."""
