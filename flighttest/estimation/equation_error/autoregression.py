@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,21 +95,29 @@ def autoregression(stretches: Sequence[FloatArray], most: int = MOST_LAGS) -> Au
         return Autoregression(np.ones(1), LEAST_STD)
     forward = np.concatenate(usable)  # all at once; between stretches, where there are no pairs, both are 0
     backward = forward.copy()
-    begins = np.cumsum([s.size for s in usable])[:-1]
-    a = np.ones(1)
-    best, least = (a, power), total * np.log(power)
+    begins = list(accumulate(s.size for s in usable))[:-1]
+    scaled = np.empty((2, forward.size))
+    a = np.zeros(most + 1)
+    a[0] = 1.0
+    chosen, std, least = a[:1].copy(), math.sqrt(power), total * np.log(power)
     for order in range(1, most + 1):
         forward, backward = forward[1:], backward[:-1]
-        for one, at in ((forward, begins - 1), (backward, begins - order)):
-            one[at[(at >= 0) & (at < one.size)]] = 0.0
+        for begin in begins:
+            if begin <= forward.size:
+                forward[begin - 1] = 0.0
+            if begin >= order:
+                backward[begin - order] = 0.0
         reflection = -2.0 * float(forward @ backward) / float(forward @ forward + backward @ backward)
-        a = np.append(a, 0.0)
-        a = a + reflection * a[::-1]
+        a[: order + 1] = a[: order + 1] + reflection * a[order::-1]
         power *= 1.0 - reflection**2
         if power <= 1e-12 * variance:
             break
         criterion = total * np.log(power) + 2.0 * order
         if criterion < least:
-            best, least = (a, power), criterion
-        forward, backward = forward + reflection * backward, backward + reflection * forward
-    return Autoregression(best[0], max(float(np.sqrt(best[1])), LEAST_STD))
+            chosen, std, least = a[: order + 1].copy(), math.sqrt(power), criterion
+        to_forward, to_backward = scaled[:, : forward.size]
+        np.multiply(backward, reflection, out=to_forward)
+        np.multiply(forward, reflection, out=to_backward)
+        forward += to_forward
+        backward += to_backward
+    return Autoregression(chosen, max(std, LEAST_STD))

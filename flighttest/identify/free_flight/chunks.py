@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 
@@ -56,13 +57,17 @@ class Chunks:
         long_memory: bool = False,
         changed: Sequence[Mapping[str, FloatArray]] = (),
     ) -> None:
-        """long_memory: whether initial states are forgotten slowly; changed: per stretch, channels in the place of those recorded."""
+        """long_memory: whether initial states are forgotten slowly; changed: per stretch, channels in the place of those recorded, the same
+        whenever they are given for it."""
         self._block, self._outputs = block, outputs
         lead_s, most_s = (MEMORY_S, MEMORY_CHUNK_S) if long_memory else (LEAD_S, CHUNK_S)
         whole_s = sum(float(np.ptp(s.t_s)) for s in flown)
         length_s = whole_s / (LANES * math.ceil(whole_s / (LANES * most_s)))
         others = changed or [{}] * len(flown)
-        cut = [_cut(s, other, lead_s, length_s) for s, other in zip(flown, others, strict=True)]
+        cut = [
+            s.once(("pieces", lead_s, length_s, *other), partial(_cut, s, other, lead_s, length_s))
+            for s, other in zip(flown, others, strict=True)
+        ]
         self._at = [np.concatenate([p.at for p in pieces]) for pieces in cut]
         pieces = [p for some in cut for p in some]
         made, gained = (

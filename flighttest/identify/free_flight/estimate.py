@@ -174,7 +174,7 @@ def _with_lag(flown: Sequence[Segment], asked: _Asked, values: Mapping[str, floa
     starts = [{n: v for n, v in one.items() if n not in held} for one in STARTS[asked.part]]
     tried: list[tuple[float, Mapping[str, float]]] = []
     for start in starts:
-        objective = _PredictionErrors(equations, asked, {**values, **_known(start, values)})
+        objective = _PredictionErrors(equations, asked, {**values, **{n: v for n, v in start.items() if n in values}})
         at = minimise(objective, objective.start(), objective.space, max_iterations=FIRST_ITERATIONS).point
         objective.learn(at, FIRST_ITERATIONS)
         tried.append((objective.log_likelihood(objective.cost(at)), objective.values(at.theta)))
@@ -213,10 +213,6 @@ def _minimised(
 ) -> FreeFlight:
     objective = _PredictionErrors(equations, asked, values)
     return objective.found(minimise(objective, objective.start(), objective.space, tolerances=tolerances))
-
-
-def _known(some: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:
-    return {n: v for n, v in some.items() if n in values}
 
 
 @dataclass(frozen=True)
@@ -278,6 +274,9 @@ class _PredictionErrors:
         self.mean, self.std = (np.array([asked.prior(c)[k] for c in self.columns]) for k in (0, 1))
         self.rows = block_rows(sum(float(np.ptp(s.t_s)) for s in equations.flown), equations.period_s)
         self.noise, self.log_determinant = noises(self.first), 0.0
+        self._learned: tuple[object, object] = self.first, self.noise  # residuals, and the noise of them
+        self._known: tuple[object, object] = None, None  # residuals, and a noise, of which this is the misfit
+        self._misfit = 0.0, 0.0
 
     def start(self) -> _Point:
         """At the start values, inside the bounds."""
@@ -304,16 +303,26 @@ class _PredictionErrors:
 
     def learn(self, at: _Point, _iteration: int) -> bool:
         """The noise of the residuals."""
-        before, self.noise = self.noise, noises(beside_initial_states(at.streams, self.noise))
-        self.log_determinant = misfit_of(at.streams, self.noise)[1]
+        before = self.noise
+        known = self._learned[0] is at.streams and self._learned[1] is self.noise
+        if not known or any(s.initial for s in at.streams):
+            self.noise = noises(beside_initial_states(at.streams, self.noise))
+            self._learned = at.streams, self.noise
+        self.log_determinant = self._misfit_of(at)[1]
         return all(abs(self.noise[c].std / before[c].std - 1.0) < SETTLED for c in self.noise)
+
+    def _misfit_of(self, at: _Point) -> tuple[float, float]:
+        """As `misfit_of`, once for a point and a noise: `learn` and `cost` ask one after the other."""
+        if self._known[0] is not at.streams or self._known[1] is not self.noise:
+            self._known, self._misfit = (at.streams, self.noise), misfit_of(at.streams, self.noise)
+        return self._misfit
 
     def cost(self, at: _Point) -> float:
         """Whitened sum of squares with the priors'; infinite where the model is not finite."""
         if not at.finite:
             return np.inf
         with np.errstate(over="ignore"):  # a step too far may diverge: its cost is infinite
-            total, _ = misfit_of(at.streams, self.noise)
+            total, _ = self._misfit_of(at)
         return total + float(np.sum(((at.theta - self.mean) / self.std) ** 2))
 
     def log_likelihood(self, cost: float) -> float:
@@ -375,7 +384,7 @@ class _PredictionErrors:
         spread, extra = heterogeneity(rows, own, self.std)
         lacks = lack_of_fit(beside_initial_states(at.streams, self.noise), self.noise)
         if self.asked.part == "translation":  # velocity and throttle drive all of it
-            wrong = sum((lacks[c].ratio - 1.0) * _gram(rows.columns[rows.channel == c]) for c in lacks)
+            wrong = sum((lacks[c].ratio - 1.0) * (r.T @ r) for c in lacks for r in [rows.columns[rows.channel == c]])
         else:  # a moment of the air is driven by a velocity that is no state of the loops
             wrong = sum(lack.excess for lack in lacks.values())
         known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so in the sandwich
@@ -383,10 +392,6 @@ class _PredictionErrors:
         drift = np.diag([self.asked.model.param[c.split("@")[0]].drift ** 2 for c in self.columns])
         blocks = int(rows.block.max(initial=-1)) + 1
         return _Errors(robust + extra + drift, extra, spread, _inflation(made.covariance, robust), blocks)
-
-
-def _gram(columns: FloatArray) -> FloatArray:
-    return np.asarray(columns.T @ columns)
 
 
 def _inflation(model: FloatArray, robust: FloatArray) -> float:

@@ -7,6 +7,7 @@ disturbance that the equation is to leave as its error, and in gusts drag came o
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,14 +86,14 @@ class TranslationEquations:
     def __init__(self, model: Model, flown: Sequence[Segment]) -> None:
         self.model = model
         self.block = (model.without_terms(LATENCY) if LATENCY in model.terms else model).measured_velocity
-        measured = [_measured(s) for s in flown]
+        measured = [s.once("measured", partial(_measured, s)) for s in flown]
         swings = any(n != "a_t_m_s2" for n in self.block.free_states)
         force = tuple(n for n in FORCE if all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown))
         self.outputs = force or ACCELERATION
         self.chunks = Chunks(flown, self.block, self.outputs, model, long_memory=swings, changed=measured)
         seen = (np.stack([s.y[n] for n in (force or VELOCITY)], axis=1) for s in flown)
         self.measured = [self.chunks.along(k, one) for k, one in enumerate(seen)]
-        states = (_state(s, v) for s, v in zip(flown, measured, strict=True))
+        states = (s.once("state", partial(_state, s, v)) for s, v in zip(flown, measured, strict=True))
         self.states = [self.chunks.along(k, one) for k, one in enumerate(states)]
         self.times = [self.chunks.along(k, s.t_s) for k, s in enumerate(flown)]
 
