@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,10 @@ from flighttest.sim.sitl.launcher import find_arducopter
 from tests.widths import troubles
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+# Where an environment forbids bytecode, every worker compiles all modules and tests anew, and so does every program that a test starts.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 def pytest_sessionstart() -> None:

@@ -181,7 +181,7 @@ def copied(into: Path) -> Path:
 def passes(project: Path, tests: tuple[str, ...]) -> bool:
     """Whether all of these tests pass there."""
     words = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *tests]
-    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONPATH": str(project)}
+    environment = os.environ | {"PYTHONPATH": str(project)}
     try:
         done = subprocess.run(words, cwd=project, env=environment, capture_output=True, timeout=LIMIT_S, check=False)
     except subprocess.TimeoutExpired:
@@ -195,11 +195,18 @@ def survives(mutant: Mutant, project: Path) -> bool:
     """Whether every test passes with it."""
     path = project / "flighttest" / mutant.module
     original = path.read_text(encoding="utf-8")
-    path.write_text(mutant.applied(original), encoding="utf-8")
+    _write(path, mutant.applied(original))
     try:
         return passes(project, mutant.tests)
     finally:
-        path.write_text(original, encoding="utf-8")
+        _write(path, original)
+
+
+def _write(module: Path, source: str) -> None:
+    """Replace a module, and what was compiled of it: two sources of one size and one second are the same to Python."""
+    module.write_text(source, encoding="utf-8")
+    for compiled in (module.parent / "__pycache__").glob(f"{module.stem}.*"):
+        compiled.unlink()
 
 
 def survivors(some: list[Mutant], workers: int) -> list[Mutant]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -101,8 +101,12 @@ class FaultyLink:
         self.sim.send(bytes(message.pack(self._pilot)))
 
 
-def options(**changes: object) -> SimOptions:
-    return SimOptions(lockstep=True, ready_s=1.0, gps_s=2.0, **changes)  # type: ignore[arg-type]
+LANDS_M_S = 1.5  # 0.5 by default: a third of the processor time of a short flight would be its landing
+
+
+def options(parameters: Mapping[str, float] | None = None, **changes: object) -> SimOptions:
+    set_to = {"LAND_SPD_MS": LANDS_M_S, **(parameters or {})}
+    return SimOptions(lockstep=True, ready_s=1.0, gps_s=2.0, parameters=set_to, **changes)  # type: ignore[arg-type]
 
 
 def make_leg(

@@ -34,6 +34,7 @@ from flighttest.pipeline.store import resuming
 from flighttest.recording.store import open_run, read_manifest
 from flighttest.report.sections.diagnosis import diagnosis_sections
 from flighttest.vehicle.model import DEFAULT_VEHICLE
+from tests.flight.faulty import LANDS_M_S
 
 SHORT = """
 format: maneuver/1
@@ -59,9 +60,15 @@ def script(tmp_path):
 
 @pytest.fixture(autouse=True)
 def _ready_at_once(monkeypatch):
-    """The vehicle has its position 2 s after boot: the 41 s of a real one are waited for in the flight of `fitted`."""
+    """The vehicle has its position 2 s after boot, and lands three times as fast as usual: the 41 s of a real one are waited for in the
+    flight of `fitted`."""
     booted = flying.options
-    monkeypatch.setattr(flying, "options", lambda *a, **k: replace(booted(*a, **k), ready_s=1.0, gps_s=2.0))
+
+    def soon(*given, **named):
+        options = booted(*given, **named)
+        return replace(options, ready_s=1.0, gps_s=2.0, parameters={"LAND_SPD_MS": LANDS_M_S, **options.parameters})
+
+    monkeypatch.setattr(flying, "options", soon)
 
 
 @pytest.fixture(scope="module")
