@@ -65,8 +65,12 @@ def test_a_log_is_fitted_diagnosed_and_reported_without_what_windows_lacks(repos
     log = repository / "tests" / "data" / "sitl_roll_pitch.tlog.xz"
     words = (
         f"fit {log} -o model.yaml;import {log} -o run;show run;diagnose run --model model.yaml -o diagnosis;report diagnosis;"
-        "check yaw_rate;run yaw_rate --only fly --yes"
+        "check short.yaml;run short.yaml --only fly --yes"
     )
+    script = (repository / "maneuvers" / "yaw_rate.yaml").read_text(encoding="utf-8")
+    short = script.replace("[1, 2]", "[1]").replace("each: 2", "each: 1")  # two steps of eight
+    (tmp_path / "short.yaml").write_text(short, encoding="utf-8")
+    assert short != script
     found = subprocess.run(
         [sys.executable, "-c", WINDOWS + TAKE_AWAY, words], cwd=tmp_path, capture_output=True, text=True, timeout=300
     )
