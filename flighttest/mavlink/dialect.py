@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -10,7 +9,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 __all__ = [
     "COMPONENT_AUTOPILOT",
     "Message",
-    "Parser",
     "dialect",
     "firmware_version",
     "is_armed",
@@ -30,126 +28,11 @@ _NO_VEHICLE = frozenset({
 })  # fmt: skip
 
 
-_V2 = 0xFD
-_HEADER_BYTES, _CHECKSUM_BYTES = 10, 2
-_FRAME_BYTES = _HEADER_BYTES + _CHECKSUM_BYTES
-
-
-def _crc(data: bytes) -> int:
-    return int(dialect.x25crc(data).crc)
-
-
-_checksum: Callable[[bytes], int] = getattr(dialect, "mcrf4xx", None) or _crc
-
-
-class _Layout:
-    """How one message type without text is read: `fields` of a payload gives the values that pymavlink gives, by name."""
-
-    def __init__(self, kind: Any) -> None:
-        self.kind = kind
-        self.extra = bytes([kind.crc_extra])
-        self.size: int = kind.unpacker.size
-        self._unpack: Callable[[bytes], tuple[Any, ...]] = kind.unpacker.unpack
-        self._names = tuple(kind.ordered_fieldnames)
-        self._lengths = tuple(kind.lengths)
-        self._single = sum(self._lengths) == len(self._lengths)
-        # Whatever else a message has, as pymavlink makes it.
-        made = vars(kind(*[0] * len(kind.fieldnames)))
-        self.rest = {name: value for name, value in made.items() if name not in kind.fieldnames}
-
-    def fields(self, payload: bytes) -> dict[str, Any]:
-        """Values by field name of a payload of the full size."""
-        values = self._unpack(payload)
-        if self._single:
-            return dict(zip(self._names, values, strict=True))
-        found: dict[str, Any] = {}
-        at = 0
-        for name, length in zip(self._names, self._lengths, strict=True):
-            found[name] = values[at] if length == 1 else list(values[at : at + length])
-            at += length
-        return found
-
-
-def _layout_of(number: int) -> _Layout | None:
-    """Of a message type by its number; None where it is not known, or has text, which pymavlink makes more of."""
-    kind = dialect.mavlink_map.get(number)
-    return None if kind is None or b"s" in kind.native_format or b"c" in kind.native_format else _Layout(kind)
-
-
-class Parser(dialect.MAVLink):  # type: ignore[misc]  # pymavlink has no types
-    """pymavlink's encoder and decoder, with a shorter way to the same messages for what a stream mostly is: whole MAVLink 2 frames without
-    a signature, of known types without text, with the right checksum. All else goes through pymavlink. Never raises on bad bytes."""
-
-    buf: bytearray  # pymavlink's: bytes that wait for the rest of a frame, from `buf_index` on
-    buf_index: int
-
-    def __init__(self, system: int, component: int) -> None:
-        super().__init__(None, srcSystem=system, srcComponent=component)
-        self.robust_parsing = True
-        self._layouts: dict[int, _Layout | None] = {}
-
-    def parse_buffer(self, s: bytes) -> list[Message] | None:  # pymavlink's name
-        """Messages that these bytes complete, None where there are none."""
-        found: list[Message] = []
-        waiting: bytearray = self.buf
-        waiting.extend(s)
-        self.total_bytes_received += len(s)
-        at: int = self.buf_index
-        while at < len(waiting):
-            message = None
-            if waiting[at] == _V2 and len(waiting) - at >= _FRAME_BYTES:
-                end = at + waiting[at + 1] + _FRAME_BYTES
-                message = self._short(waiting[at:end])
-            if message is not None:
-                self.total_packets_received += 1
-                at = end
-            else:
-                self.buf_index = at
-                message = self.parse_char(b"")
-                waiting, at = self.buf, self.buf_index
-                if message is None:
-                    break
-            found.append(message)
-        self.buf_index = at
-        if at == len(waiting):
-            self.buf, self.buf_index = bytearray(), 0
-        return found or None
-
-    def decode(self, msgbuf: bytearray) -> Message:  # pymavlink's name
-        """The message of one frame."""
-        message = self._short(msgbuf) if len(msgbuf) >= _FRAME_BYTES and msgbuf[0] == _V2 else None
-        return super().decode(msgbuf) if message is None else message
-
-    def _short(self, frame: bytearray) -> Message | None:
-        """The message of a MAVLink 2 frame; None where it is pymavlink's to look at."""
-        length = frame[1]
-        if frame[2] or len(frame) != length + _FRAME_BYTES or self.signing.secret_key is not None:
-            return None
-        number = frame[7] | frame[8] << 8 | frame[9] << 16
-        if number not in self._layouts:
-            self._layouts[number] = _layout_of(number)
-        layout = self._layouts[number]
-        if layout is None:
-            return None
-        crc = frame[-2] | frame[-1] << 8
-        if _checksum(bytes(frame[1:-2]) + layout.extra) != crc:
-            return None
-        size = layout.size
-        payload = bytes(frame[_HEADER_BYTES : _HEADER_BYTES + min(length, size)])
-        message = layout.kind.__new__(layout.kind)
-        state = message.__dict__
-        state.update(layout.rest)
-        state.update(layout.fields(payload if length >= size else payload.ljust(size, b"\0")))
-        state["_msgbuf"] = frame
-        state["_payload"] = frame[6:-2]
-        state["_crc"] = crc
-        state["_header"] = dialect.MAVLink_header(number, 0, frame[3], length, frame[4], frame[5], frame[6])
-        return message
-
-
-def parser(system: int, component: int) -> Parser:
+def parser(system: int, component: int) -> Any:
     """A fresh encoder and decoder for one end of a link: it never raises on bad bytes, they come out as BAD_DATA."""
-    return Parser(system, component)
+    mav = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+    mav.robust_parsing = True
+    return mav
 
 
 def is_vehicle(heartbeat: Message) -> bool:
