@@ -6,10 +6,11 @@ For files that people write see `documents`, which keeps the line of every value
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import UnionType
 from typing import Any, NotRequired, Required, Union, get_args, get_origin, get_type_hints, is_typeddict
@@ -31,10 +32,28 @@ class _Refused(ValueError):
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file in UTF-8 such that a program killed in between leaves what was there before. OSError as of `Path.write_text`."""
+    """Write a text file in UTF-8 such that a program killed in between leaves what was there before, and so does a full disk, without half
+    a file beside it. OSError as of `Path.write_text`, which names the file."""
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    with naming(path):
+        try:
+            part.write_text(text, encoding="utf-8")
+            os.replace(part, path)
+        except OSError:
+            with contextlib.suppress(OSError):
+                part.unlink()
+            raise
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """An OSError that comes of what is written to a file names it: one of a write itself, on a full disk, does not by itself."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None or error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def read_bytes(path: Path, error: type[InputError], what: str, most: int = DATA_BYTES, remedy: str = "") -> bytes:

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 import yaml
 
 from flighttest.channels import CHANNELS, GROUPS
-from flighttest.datafiles import MOST_VALUES, parse_json, read_bytes, read_yaml, write_whole
+from flighttest.datafiles import MOST_VALUES, naming, parse_json, read_bytes, read_yaml, write_whole
 from flighttest.errors import RecordingError
 from flighttest.recording.manifest import EventData, Manifest
 from flighttest.recording.model import Marker, Provenance, Recording, Series
@@ -126,7 +126,8 @@ def read_events(run_dir: Path) -> tuple[tuple[Marker, ...], tuple[str, ...]]:
 def write_recording(run_dir: Path, recording: Recording) -> None:
     """Write channels, events and manifest of a recording; other fields of an existing manifest are kept."""
     try:
-        _write_recording(run_dir, recording)
+        with naming(run_dir):
+            _write_recording(run_dir, recording)
     except OSError:
         for part in (*run_dir.glob("*.part"), *(run_dir / CHANNELS_DIR).glob("*.part")):
             part.unlink()  # half a file takes the space that a full disk does not have

@@ -9,6 +9,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from flighttest.datafiles import naming
 from flighttest.report.document import Cell, Document, Table
 
 KINDS = ("csv", "parquet")
@@ -36,13 +37,14 @@ def write_tables(document: Document, folder: Path, kind: str) -> list[Path]:
         path = folder / f"{name}.{kind}"
         heads, rows = _heads(table), [[_text(cell) for cell in row] for row in table.rows]
         if kind == "csv":
-            with path.open("w", newline="", encoding="utf-8") as file:
+            with naming(path), path.open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file)
                 writer.writerow(heads)
                 writer.writerows(rows)
         else:
             columns = {head: _column([row[i] for row in rows]) for i, head in enumerate(heads)}
-            pq.write_table(pa.table(columns), path)
+            with naming(path):
+                pq.write_table(pa.table(columns), path)
         written.append(path)
     return written
 

@@ -25,6 +25,8 @@ from flighttest.errors import RecordingError
 from flighttest.pipeline.identification.reporting import read_diagnosis
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.recording.store import EVENTS_NAME, MANIFEST_NAME, read_events, read_manifest, write_recording
+from flighttest.report.document import Document, Section, Table
+from flighttest.report.tables import write_tables
 
 MOST_MEMORY = 100e6  # most of it modules that are imported first here
 
@@ -240,6 +242,17 @@ def test_a_write_that_is_cut_short_leaves_the_file_that_was_there(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_text", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(OSError, match="No space") as full_disk:
         write_whole(kept, "third")
     assert kept.read_bytes() == b"second"
+    assert full_disk.value.filename == str(kept), "error: No space left on device, of which file was not said"
+    assert [p.name for p in tmp_path.iterdir()] == ["model.yaml"], "half a file takes the space that there is not"
+
+
+def test_a_table_that_does_not_fit_on_the_disk_is_named(tmp_path: Path) -> None:
+    document = Document("d", "", "good", (Section("a", "a", (Table(("x",), (("1",),), ("left",)),)),))
+    (name,) = (p.name for p in write_tables(document, tmp_path / "whole", "csv"))
+    (tmp_path / name).symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space") as full_disk:
+        write_tables(document, tmp_path, "csv")
+    assert full_disk.value.filename == str(tmp_path / name)

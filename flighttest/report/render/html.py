@@ -8,6 +8,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
+from flighttest.datafiles import write_whole
 from flighttest.report.document import (
     Bullets,
     Cell,
@@ -73,7 +74,7 @@ def page_of(document: Document) -> str:
 def write_html(document: Document, path: Path) -> Path:
     """Write the page and give its path."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page_of(document), encoding="utf-8")
+    write_whole(path, page_of(document))
     return path
 
 
