@@ -23,7 +23,7 @@ from flighttest.identify.fit import Fit, default_model, fit, has_attitude_refere
 from flighttest.identify.free_flight import parts_by_prediction_errors
 from flighttest.identify.free_flight.equation_fit import LOOPS
 from flighttest.identify.free_flight.winds import WIND_TERM, still_air
-from flighttest.identify.selection import problem_of
+from flighttest.identify.selection import LOG_REFERENCES, NOTHING_ASKED, nothing_asked, problem_of
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -59,6 +59,8 @@ def diagnose(
     to 'still' or 'unknown'. only: ids of the candidates (default: the whole catalogue). FitError when there is too little for any answer.
     An interrupt (KeyboardInterrupt) ends the search and returns what is known, with complete=False.
     """
+    if nothing_asked(segments):
+        raise FitError(NOTHING_ASKED, LOG_REFERENCES)
     usable = tuple(s for s in segments if s.usable)
     if len(usable) < LEAST_SEGMENTS:
         raise FitError(

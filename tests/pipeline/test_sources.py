@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import flighttest as ft
 from flighttest.errors import FlighttestError
 from flighttest.pipeline.identification.fitting import fit, segment
 from flighttest.pipeline.identification.showing import show
@@ -70,6 +71,8 @@ def test_import_and_segment_say_that_a_recording_without_commands_cannot_be_fitt
     np.savetxt(log, columns, delimiter=",", header="t_s,roll_rad,pitch_rad,f_z_m_s2", comments="")
     with pytest.raises(FlighttestError, match="nothing says what the vehicle was asked for"):
         fit([log])
+    with pytest.raises(FlighttestError, match="nothing says what the vehicle was asked for"):
+        ft.diagnose(ft.read(log))
     for result in (import_log(log, run), segment([run])):
         (section,) = (s for s in result.document.sections if s.id == "time")
         said = section.lead + "".join(getattr(block, "brief", "") for block in section.blocks)
