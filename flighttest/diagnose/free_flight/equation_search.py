@@ -7,9 +7,9 @@ shows (QAIC: Burnham and Anderson 2002, section 2.5), less half the logarithm of
 term is named when its coefficients are significant by the robust covariance as well, at a level divided by the number of terms
 (Bonferroni), its estimates are admissible, of what was not used no more channels are surely predicted worse with it than better (the
 noise of each model is estimated with it, and a worse model of redder noise can be the likelier one), and its effect is larger than what
-estimates drift by. One that is smaller has no name and is estimated beside the others: left out, it is in the noise, in which a load of
-6.5 noise floors was not seen beside an accelerometer's lever arm of 0.049 m/s^2. Wind is looked for first, against what looks like it at
-one heading (`identify.winds`).
+estimates drift by. A smaller one has no name; of an instrument it is estimated beside the others: left out, it is in the noise, in which
+a load of 6.5 noise floors was not seen beside an accelerometer's lever arm of 0.049 m/s^2. Wind is looked for first, against what looks
+like it at one heading (`identify.winds`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from flighttest.diagnose.free_flight.estimates import (
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
 from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
-from flighttest.diagnose.selection.candidates import acts_in
+from flighttest.diagnose.selection.candidates import OF_INSTRUMENTS, acts_in
 from flighttest.diagnose.selection.comparison import PROBABILITY, level_of, log_odds_asked, probability_of
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.errors import FitError
@@ -79,7 +79,7 @@ class NamedByEquations:
 @dataclass
 class EquationSearch:
     """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
-    anew and not named, with the reason; small: those of them that are in the model, with an effect that instruments drift by; screened:
+    anew and not named, with the reason; small: those of them that are in the model, of instruments and below what these drift by; screened:
     the last score tests; winds: of each flight, empty where none is in the model; turned:
     whether headings differ enough to part a wind from an attitude offset; complete: False where an interrupt ended the search."""
 
@@ -296,9 +296,11 @@ def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimat
                 found.refused[s.term] = (nats, why)
             continue
         if why := _below_drift(size):
+            found.refused[s.term] = (nats, why)
+            if term.family not in OF_INSTRUMENTS:
+                continue
             found.final = one
             found.small.append(s.term)
-            found.refused[s.term] = (nats, why)
             return True
         rivals = tuple(
             r.term for n, r, _ in tried if r is not s and nats - n < CHANCE_NATS and (n <= nats or r.term == WIND_TERM)

@@ -17,7 +17,7 @@ from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 
 _FORCES, _VELOCITIES = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), ("v_x_m_s", "v_y_m_s", "v_z_m_s")
-_OF_INSTRUMENTS = ("sensor", "link")  # families of terms that are no forces
+OF_INSTRUMENTS = ("sensor", "link")  # families of terms that are no forces
 DIFFERENCE_STD = 0.4  # of the multiple of a finite difference, about 1: grid values are up to half an octave off
 
 
@@ -91,7 +91,7 @@ def redundant(term: Term, strata: Collection[str]) -> frozenset[str]:
     with a channel predicted worse).
     """
     free = DISTURBANCE_DRIFT.keys() & {*strata} if any(s.free for s in term.states) else frozenset()
-    if term.family in _OF_INSTRUMENTS:
+    if term.family in OF_INSTRUMENTS:
         return frozenset(free)
     sides = (_FORCES[:2], _VELOCITIES[:2]), (_FORCES[2:], _VELOCITIES[2:])
     return frozenset(v for forces, velocities in sides if {*forces} <= {*strata} for v in velocities) | free
