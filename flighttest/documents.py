@@ -62,25 +62,12 @@ PlainData: TypeAlias = "bool | int | float | str | Sequence[PlainData] | Mapping
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that `word` is a part or a misspelling of, if any; of several the one that looks most like it."""
-    return next((k for k in difflib.get_close_matches(word, list(known), n=5) if _may_mean(word, k)), None)
-
-
-def _may_mean(word: str, known: str) -> bool:
-    """Whether one is part of the other, or at most a third of the letters must be changed, added, left out or swapped with the next
-    (optimal string alignment; Damerau 1964): of `step`, which is offered for `stpe`, half of `stateX` is missing."""
-    a, b = word.casefold(), known.casefold()
-    if a in b or b in a:
-        return True
-    row = list(range(len(b) + 1))
-    earlier = row
-    for i, letter in enumerate(a, 1):
-        before, earlier, row = earlier, row, [i]
-        for j, other in enumerate(b, 1):
-            row.append(min(earlier[j] + 1, row[j - 1] + 1, earlier[j - 1] + (letter != other)))
-            if i > 1 < j and letter == b[j - 2] and other == a[i - 2]:
-                row[j] = min(row[j], before[j - 2] + 1)
-    return row[-1] <= max(len(a), len(b)) / 3
+    """The known word that `word` is a part or a misspelling of, if any: at most a third of the letters are others (of `step`, which is
+    offered for `stpe`, two of five are missing in `stateX`)."""
+    names = list(known)
+    misspelt = difflib.get_close_matches(word, names, n=1, cutoff=2 / 3)
+    parts = [k for k in difflib.get_close_matches(word, names) if word in k or k in word]
+    return next(iter(misspelt + parts), None)
 
 
 class _Refused(Exception):

@@ -23,10 +23,8 @@ _EKF_REPORT_S = 5.0  # it reports five times a second
 _PRESSURE_SCALE_M, _PRESSURE_EXPONENT = 44330.8, 0.190263  # international standard atmosphere
 _POSITION, _VELOCITY = names("position"), names("velocity")
 _FRESH_S = 1.0  # a preferred message older than this gives way to the next one of its group
-
-
+# Messages of which more counts than the latest.
 _SUMMED = frozenset({"VFR_HUD", "SCALED_PRESSURE", "BATTERY_STATUS", "SYS_STATUS"})
-"""Messages of which more counts than the latest."""
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ class Host:
         until_ms = min(until_ms, int(v.time_s * 1e3) + _GRANT_MAX_MS)
         now_ms = max(until_ms, int(v.time_s * 1e3 + 1e-6))
         self.run_to(until_ms * 1e-3)
-        v.outbox.append(v.encoder.fields(dialect.MAVLink_system_time_message, 0, now_ms & 0xFFFFFFFF))
+        v.outbox.append(v.encoder.message(dialect.MAVLink_system_time_message(0, now_ms & 0xFFFFFFFF)))
 
     def run_to(self, t_s: float) -> None:
         """Tick up to the last tick that is not after t_s, s."""

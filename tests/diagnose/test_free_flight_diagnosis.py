@@ -147,6 +147,16 @@ def test_what_is_no_longer_small_beside_terms_that_joined_later_is_named(monkeyp
     assert not found.small
 
 
+def test_what_is_small_and_not_needed_in_the_end_leaves_the_model(monkeypatch):
+    reasons = iter(["", "it may be nothing"])
+    monkeypatch.setattr(equation_search, "DRIFT", dict.fromkeys(DRIFT, 10.0))
+    monkeypatch.setattr(equation_search, "null_inside_interval", lambda *_: next(reasons))
+    found = find_terms(stretches(tilted()), ALONE, [catalogue()["attitude_offset"]])
+    assert found.final.model.terms == ALONE.terms
+    assert not found.small
+    assert found.refused["attitude_offset"][1] == "beside the terms that joined later: it may be nothing"
+
+
 def test_a_term_whose_null_value_is_inside_its_interval_is_not_named(monkeypatch):
     """A vortex ring of 0.30 +- 0.31 was surely present in a flight that has none. What flights differ by makes no value nothing."""
     flown = stretches(tilted())

@@ -64,9 +64,8 @@ def test_a_pilot_who_flies_unseen_is_not_sent_a_parameter(run_dir: Path, monkeyp
     assert link.sim.vehicle.store["GUID_OPTIONS"] == 8.0
 
 
-def test_a_vehicle_that_falls_is_not_sent_a_parameter(run_dir: Path) -> None:
-    """Stopped in the air by another station: PARAM_SETs left while it fell."""
-    link = FaultyLink(options(parameters=SET))
+def stopped_in_the_air(link: FaultyLink) -> tuple[list[float], list[float]]:
+    """Have another station stop the motors during a step; the times of `at_step`, and when they stopped."""
     began = at_step(link)
     done: list[float] = []
 
@@ -77,6 +76,13 @@ def test_a_vehicle_that_falls_is_not_sent_a_parameter(run_dir: Path) -> None:
         return False
 
     link.deaf = killed
+    return began, done
+
+
+def test_a_vehicle_that_falls_is_not_sent_a_parameter(run_dir: Path) -> None:
+    """Stopped in the air by another station: PARAM_SETs left while it fell."""
+    link = FaultyLink(options(parameters=SET))
+    began, done = stopped_in_the_air(link)
     result = fly(make_plan(), "sim", run_dir, transport=link)
     assert result.outcome is FlightOutcome.DISARMED
     t_s, height = open_run(run_dir).channel("height_m")
@@ -89,16 +95,7 @@ def test_a_vehicle_that_falls_is_not_sent_a_parameter(run_dir: Path) -> None:
 
 def test_a_fall_that_nothing_shows_ends_the_wait_for_it(run_dir: Path) -> None:
     link = FaultyLink(options(parameters=SET))
-    began = at_step(link)
-    done: list[float] = []
-
-    def killed(t_s: float) -> bool:
-        if began and not done and t_s > began[0] + 0.2:
-            done.append(t_s)
-            stop_motors(link)
-        return False
-
-    link.deaf = killed
+    began, done = stopped_in_the_air(link)
     link.silenced = lambda kind, _t: bool(done) and kind in {"GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD"}
     result = fly(make_plan(), "sim", run_dir, transport=link)
     assert result.outcome is FlightOutcome.DISARMED

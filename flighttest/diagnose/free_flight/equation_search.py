@@ -80,8 +80,8 @@ class NamedByEquations:
 class EquationSearch:
     """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
     anew and not named, with the reason; small: those of them that are in the model, of instruments and below what these drift by; screened:
-    the last score tests; winds: of each flight, empty where none is in the model; turned:
-    whether headings differ enough to part a wind from an attitude offset; complete: False where an interrupt ended the search."""
+    the last score tests; winds: of each flight, empty where none is in the model; turned: whether headings differ enough to part a wind
+    from an attitude offset; complete: False where an interrupt ended the search."""
 
     flown: Sequence[Segment]
     base: FreeFlight
@@ -142,7 +142,7 @@ def find_terms(
         _wind_first(found, asked, known)
         while len(found.named) < MOST_NAMED and _step(found, asked, known):
             _drop_what_left(found, asked)
-        _name_what_grew(found, asked, known)
+        _ask_small_ones_again(found, asked, known)
     except KeyboardInterrupt:
         found.complete = False
     if WIND_TERM in found.final.model.terms:
@@ -352,15 +352,22 @@ def _below_drift(size: Mapping[str, float]) -> str:
     return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
 
 
-def _name_what_grew(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> None:
-    """Name terms whose effect, beside those that joined later, is larger than what estimates drift by."""
+def _ask_small_ones_again(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> None:
+    """Of terms that joined without a name, beside those that joined later: name what is larger by now than estimates drift by, and leave
+    out what is not needed."""
     for name in list(found.small):
         smaller = asked.estimate(found.final.model.without_terms(name), _shared(found.final.values))
         nats, size = _nats(found.final, smaller), effect_sizes(asked.streams(smaller), asked.streams(found.final))
         p_value = significance(found.final, smaller, known[name], asked)
-        trial = _Trial(known[name], smaller, found.final, nats, p_value, size)
-        if not _below_drift(size) and not _against(trial, asked, len(known)):
-            found.small.remove(name)
+        why = _against(_Trial(known[name], smaller, found.final, nats, p_value, size), asked, len(known))
+        if not why and (small := _below_drift(size)):
+            found.refused[name] = nats, small
+            continue
+        found.small.remove(name)
+        if why:
+            found.final = smaller
+            found.refused[name] = nats, f"beside the terms that joined later: {why}"
+        else:
             del found.refused[name]
             found.named[name] = NamedByEquations(name, nats, p_value, size)
 
@@ -369,7 +376,7 @@ def _drop_what_left(found: EquationSearch, asked: ModelEstimates) -> None:
     """Terms that are no longer significant beside the newest leave, the newest excepted."""
     known = {t.id: t for t in found.final.model.built_terms}
     newest = found.final.model.terms[-1]
-    for name in [n for n in (*found.named, *found.small) if n != newest]:
+    for name in [n for n in found.named if n != newest]:
         if name == WIND_TERM:
             gone = [] if any_wind(found.seen()) else [name, *found.beside_wind]
         elif name in BESIDE_WIND and WIND_TERM in found.named:
@@ -380,8 +387,7 @@ def _drop_what_left(found: EquationSearch, asked: ModelEstimates) -> None:
             continue
         smaller = found.final.model.without_terms(*gone)
         found.final = asked.estimate(smaller, _shared(found.final.values))
-        found.named.pop(name, None)
-        found.small = [n for n in found.small if n != name]
+        del found.named[name]
         found.refused[name] = (0.0, "not needed beside the terms that joined later")
 
 

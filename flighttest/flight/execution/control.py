@@ -38,9 +38,9 @@ AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for l
 CONFIRMED_WITHIN_S = 2.5  # after a HEARTBEAT that contradicts those before: the next one comes within a second
 UNLIKE_BEATS = 2  # in a row, as for a take-over; the first after the switch was seen may be of before
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
-_WATCHED = frozenset({"HEARTBEAT", "SYS_STATUS", "RC_CHANNELS", "PARAM_VALUE", "STATUSTEXT"})
-"""Messages that show whose vehicle it is, what the transmitter does, what others changed, or a warning."""
 UPLINK_GIVE_UP_S = 60.0  # heard, but without an answer: as long as it may come back it is asked to land
+# What shows whose vehicle it is, what the transmitter does, what others changed, or a warning.
+_WATCHED = frozenset({"HEARTBEAT", "SYS_STATUS", "RC_CHANNELS", "PARAM_VALUE", "STATUSTEXT"})
 
 
 @dataclass

@@ -384,7 +384,7 @@ class _PredictionErrors:
         spread, extra = heterogeneity(rows, own, self.std)
         lacks = lack_of_fit(beside_initial_states(at.streams, self.noise), self.noise)
         if self.asked.part == "translation":  # velocity and throttle drive all of it
-            wrong = sum((lacks[c].ratio - 1.0) * (r.T @ r) for c in lacks for r in [rows.columns[rows.channel == c]])
+            wrong = sum((lacks[c].ratio - 1.0) * ((x := rows.columns[rows.channel == c]).T @ x) for c in lacks)
         else:  # a moment of the air is driven by a velocity that is no state of the loops
             wrong = sum(lack.excess for lack in lacks.values())
         known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so in the sandwich

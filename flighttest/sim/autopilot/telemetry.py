@@ -133,10 +133,11 @@ def _global_position(v: TelemetrySource) -> bytes:
     px, py, pz = v.sensors.position(t)
     vx, vy, vz = v.sensors.velocity(t)
     lat, lon = global_of(px, py)
-    return v.encoder.fields(
-        dialect.MAVLink_global_position_int_message,
-        _ms(v), lat, lon, round((HOME_ALT_M + pz) * 1e3), round(pz * 1e3),
-        _short(vx, 100), _short(-vy, 100), _short(-vz, 100), heading,
+    return v.encoder.message(
+        dialect.MAVLink_global_position_int_message(
+            _ms(v), lat, lon, round((HOME_ALT_M + pz) * 1e3), round(pz * 1e3),
+            _short(vx, 100), _short(-vy, 100), _short(-vz, 100), heading,
+        )
     )  # fmt: skip
 
 
@@ -147,17 +148,17 @@ def _vfr_hud(v: TelemetrySource) -> bytes:
     heading = int(math.degrees(-v.motion.yaw) % 360.0)
     altitude = HOME_ALT_M + v.sensors.position(t)[2] if v.has_position else 0.0
     throttle = int(100.0 * v.command.throttle) if v.armed else 0
-    return v.encoder.fields(dialect.MAVLink_vfr_hud_message, speed, speed, altitude, vz, heading, throttle)
+    return v.encoder.message(dialect.MAVLink_vfr_hud_message(speed, speed, heading, throttle, altitude, vz))
 
 
 def _battery(v: TelemetrySource) -> bytes:
     cells = [min(max(round(v.sensors.voltage() * 1e3), 0), 65534)] + [_U16] * 9
     used = v.charge_used_ah
     left = max(0, min(100, int(100.0 * (1.0 - used / v.capacity_ah))))
-    return v.encoder.fields(
-        dialect.MAVLink_battery_status_message,
-        int(used * 1e3), int(used * 22.2 * 36.0), 32767, *cells, _short(v.motion.current, 100), 0, 0, 0, left,
-        0, 1, *[0] * 4, 0, 0,
+    return v.encoder.message(
+        dialect.MAVLink_battery_status_message(
+            0, 0, 0, 32767, cells, _short(v.motion.current, 100), int(used * 1e3), int(used * 22.2 * 36.0), left, 0, 1,
+        )
     )  # fmt: skip
 
 
@@ -213,9 +214,7 @@ def _power(v: TelemetrySource) -> bytes:
 
 def _ekf(v: TelemetrySource) -> bytes:
     flags = 831 if v.has_position else (167 if v.time_s > 15.0 else 1024)
-    return v.encoder.fields(
-        dialect.MAVLink_ekf_status_report_message, 0.01, 0.01, 0.005, 0.02, 0.0, flags, 0.0
-    )  # wire order: flags after the first five
+    return v.encoder.message(dialect.MAVLink_ekf_status_report_message(flags, 0.01, 0.01, 0.005, 0.02, 0.0, 0.0))
 
 
 def _extended_state(v: TelemetrySource) -> bytes:
@@ -244,7 +243,7 @@ def _switch_us(v: TelemetrySource) -> int:
 
 def _servo(v: TelemetrySource) -> bytes:
     out = round(1000 + 1000 * v.command.throttle) if v.armed else 1000
-    return v.encoder.fields(dialect.MAVLink_servo_output_raw_message, _us(v) & _U32, *[out] * 4, *[0] * 13)
+    return v.encoder.message(dialect.MAVLink_servo_output_raw_message(_us(v) & _U32, 0, out, out, out, out, 0, 0, 0, 0))
 
 
 def _home(v: TelemetrySource) -> bytes | None:
@@ -294,7 +293,7 @@ def heartbeat(v: TelemetrySource) -> bytes:
     if v.time_s < 1.0:
         state = dialect.MAV_STATE_BOOT
     kind, autopilot = dialect.MAV_TYPE_QUADROTOR, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
-    return v.encoder.fields(dialect.MAVLink_heartbeat_message, v.mode, kind, autopilot, base, state, 3)
+    return v.encoder.message(dialect.MAVLink_heartbeat_message(kind, autopilot, base, v.mode, state, 3))
 
 
 def _system_time(v: TelemetrySource) -> bytes:

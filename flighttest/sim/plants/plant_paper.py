@@ -110,8 +110,8 @@ class PaperPlant:
         if self._air is not None:
             wx, wy, wz = self._air.x, self._air.y, self._air.z
 
-        def rates(*x: float) -> tuple[float, ...]:  # of the first ten states; and the specific force
-            phi, phi_d, th, th_d, r, psi, a_t, vx, vy, vz = x
+        def rates(x: tuple[float, ...]) -> tuple[float, ...]:
+            phi, phi_d, th, th_d, r, psi, a_t, vx, vy, vz, _, _, _ = x
             sf, cf, s, c, sy, cy = sin(phi), cos(phi), sin(th), cos(th), sin(psi), cos(psi)
             # rows of R, body to world
             r00, r01, r02 = cy * c, cy * s * sf - sy * cf, cy * s * cf + sy * sf
@@ -132,42 +132,23 @@ class PaperPlant:
                 r00 * ux + r01 * uy + r02 * uz,
                 r10 * ux + r11 * uy + r12 * uz,
                 r20 * ux + r21 * uy + r22 * uz - G_M_S2,
+                vx,
+                vy,
+                vz,
                 ux,
                 uy,
                 uz,
             )
 
-        half, sixth = 0.5 * h, h / 6.0
-        phi, phi_d, th, th_d, r, psi, a_t, vx, vy, vz, px, py, pz = self._x
-        p0, p1, p2, p3, p4, p5, p6, p7, p8, p9, _, _, _ = rates(phi, phi_d, th, th_d, r, psi, a_t, vx, vy, vz)
-        qx, qy, qz = vx + half * p7, vy + half * p8, vz + half * p9
-        q0, q1, q2, q3, q4, q5, q6, q7, q8, q9, _, _, _ = rates(
-            phi + half * p0, phi_d + half * p1, th + half * p2, th_d + half * p3, r + half * p4, psi + half * p5,
-            a_t + half * p6, qx, qy, qz,
-        )  # fmt: skip
-        sx, sy, sz = vx + half * q7, vy + half * q8, vz + half * q9
-        s0, s1, s2, s3, s4, s5, s6, s7, s8, s9, _, _, _ = rates(
-            phi + half * q0, phi_d + half * q1, th + half * q2, th_d + half * q3, r + half * q4, psi + half * q5,
-            a_t + half * q6, sx, sy, sz,
-        )  # fmt: skip
-        tx, ty, tz = vx + h * s7, vy + h * s8, vz + h * s9
-        t0, t1, t2, t3, t4, t5, t6, t7, t8, t9, _, _, _ = rates(
-            phi + h * s0, phi_d + h * s1, th + h * s2, th_d + h * s3, r + h * s4, psi + h * s5, a_t + h * s6, tx, ty, tz
-        )
-        px += sixth * (vx + 2.0 * (qx + sx) + tx)
-        py += sixth * (vy + 2.0 * (qy + sy) + ty)
-        pz += sixth * (vz + 2.0 * (qz + sz) + tz)
-        phi += sixth * (p0 + 2.0 * (q0 + s0) + t0)
-        phi_d += sixth * (p1 + 2.0 * (q1 + s1) + t1)
-        th += sixth * (p2 + 2.0 * (q2 + s2) + t2)
-        th_d += sixth * (p3 + 2.0 * (q3 + s3) + t3)
-        r += sixth * (p4 + 2.0 * (q4 + s4) + t4)
-        psi += sixth * (p5 + 2.0 * (q5 + s5) + t5)
-        a_t += sixth * (p6 + 2.0 * (q6 + s6) + t6)
-        vx += sixth * (p7 + 2.0 * (q7 + s7) + t7)
-        vy += sixth * (p8 + 2.0 * (q8 + s8) + t8)
-        vz += sixth * (p9 + 2.0 * (q9 + s9) + t9)
-        x = (phi, phi_d, th, th_d, r, psi, a_t, vx, vy, vz, px, py, pz)
+        x = self._x
+        half = 0.5 * h
+        k1 = rates(x)
+        k2 = rates(tuple([a + half * k for a, k in zip(x, k1, strict=False)]))
+        k3 = rates(tuple([a + half * k for a, k in zip(x, k2, strict=False)]))
+        k4 = rates(tuple([a + h * k for a, k in zip(x, k3, strict=False)]))
+        sixth = h / 6.0
+        x = tuple([a + sixth * (p + 2.0 * (q + s) + t) for a, p, q, s, t in zip(x, k1, k2, k3, k4, strict=False)])
+        phi, phi_d, th, th_d, r, psi, a_t, vx, vy, vz, px, py, pz = x
         if m.on_ground and (vz <= 0.0 or self._frozen):
             # the ground holds everything but the thrust, which grows until it lifts
             old = self._x
@@ -179,11 +160,13 @@ class PaperPlant:
             self._touch_down(x)
             return
         self._x = x
-        _, _, _, _, _, psi_d, _, _, _, _, m.fx, m.fy, m.fz = rates(phi, phi_d, th, th_d, r, psi, a_t, vx, vy, vz)
+        now = rates(x)
         sf, cf, s, c = sin(phi), cos(phi), sin(th), cos(th)
+        psi_d = now[5]
         m.px, m.py, m.pz, m.vx, m.vy, m.vz = px, py, pz, vx, vy, vz
         m.roll, m.pitch, m.yaw = phi, th, psi
         m.p, m.q, m.r = phi_d - s * psi_d, cf * th_d + sf * c * psi_d, r
+        m.fx, m.fy, m.fz = now[13], now[14], now[15]
 
     def _touch_down(self, x: tuple[float, ...]) -> None:
         """The ground stops everything; after a hard or tilted landing the vehicle lies where and as it fell."""
