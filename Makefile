@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test check mutants faults faults-sitl faults-endurance faults-lines faults-interrupts faults-changes frozen sitl docs docs-site docs-figures notebooks clean
+.PHONY: demo test test-all check mutants faults faults-sitl faults-endurance faults-lines faults-interrupts faults-changes frozen sitl docs docs-site docs-figures notebooks clean
 .DEFAULT_GOAL := demo
 
 .venv/installed: requirements.lock pyproject.toml
@@ -14,7 +14,10 @@ BIN := .venv/bin
 demo: .venv/installed  ## fly the paper's three maneuvers on the built-in vehicle, fit, report
 	$(BIN)/flighttest run thrust roll_pitch yaw_rate --connect sim --yes
 
-test: .venv/installed check  ## the checks and the default test suite
+test: .venv/installed check  ## the checks and the default test suite, without its slow tests
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal -m "not slow"
+
+test-all: .venv/installed check  ## the checks and every test
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 
 check: .venv/installed

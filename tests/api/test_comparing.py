@@ -22,6 +22,7 @@ def printed(capsys, *words):
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_models_are_compared_as_the_command_does(repository, tmp_path, capsys):
     fitted = ft.fit(ft.read(repository / "tests" / "data" / "sitl_thrust.tlog.xz"))
     first = fitted.model.write(tmp_path / "model.yaml")
@@ -35,6 +36,7 @@ def test_models_are_compared_as_the_command_does(repository, tmp_path, capsys):
     assert json.loads(json.dumps(found.data)) == printed(capsys, "compare", first, tmp_path / "other.yaml")
 
 
+@pytest.mark.slow
 def test_recorded_commands_run_on_a_changed_vehicle(fitted, log):
     found = ft.replay(fitted.model, log, changes={"omega_phi": "-40%"})
     frame = found.to_frame()
@@ -66,6 +68,7 @@ def nothing_found(monkeypatch, fitted):
     return weathers
 
 
+@pytest.mark.slow
 def test_a_simulator_is_opposed_to_reality(log, nothing_found):
     series = {
         g: type(s)(s.t_s, {n: v * (1.5 if n == "roll_rad" else 1.0) for n, v in s.columns.items()})

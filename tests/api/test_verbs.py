@@ -76,6 +76,7 @@ def test_a_model_is_valid_for_the_flight_it_was_fitted_to(log, fitted):
     assert len(found.plot().data) == 1
 
 
+@pytest.mark.slow
 def test_validation_compares_the_model_with_its_simplifications(log, fitted):
     found = ft.validate(fitted.model, log)
     frame = found.to_frame()
@@ -165,12 +166,14 @@ def test_what_an_interactive_session_shows_is_one_line(log, fitted, tmp_path):
     assert f"{len(log.markers)} markers" in repr(log)
 
 
+@pytest.mark.slow
 def test_concealed_effects_are_given_as_values_or_as_words():
     for hide in ({"ground_effect": {"R2_m2": 0.1}}, ["ground_effect:R2_m2=0.1"], "ground_effect:R2_m2=0.1"):
         with ft.simulate("rotor", hide=hide) as vehicle:
             assert vehicle.options.hide == {"ground_effect": {"R2_m2": 0.1}}
 
 
+@pytest.mark.slow
 def test_the_weather_is_of_all_flights_or_of_those_that_are_named(log):
     for weather in ("still", {"": "still"}, {log.name[:3]: "still"}):
         assert ft.fit(log, weather=weather).good

@@ -172,6 +172,7 @@ def test_a_closed_terminal_lands_and_ctrl_c_twice_stops_sending():
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL
 
 
+@pytest.mark.slow
 def test_sim_shows_a_program_where_it_is():
     argv = [sys.executable, "-m", "flighttest.cli.main", "sim", "--json", "--port", "0", "--seed", "4", "--speed", "2"]
     process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)

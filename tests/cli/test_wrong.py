@@ -19,6 +19,7 @@ def sound(wrong: Wrong) -> bool:
     return wrong.argv[0] in ("runs", "models") and (folder == "a folder" or folder.startswith("a run"))
 
 
+@pytest.mark.slow
 def test_a_wrong_invocation_is_reported_and_nothing_else_happens(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,6 +34,7 @@ def test_every_notebook_is_tried(repository):
     assert tuple(sorted(p.stem for p in (repository / "examples").glob("*.ipynb"))) == NOTEBOOKS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_a_notebook_runs_and_shows_what_it_prints(notebooks, repository, name):
     kept = json.loads((repository / "examples" / f"{name}.ipynb").read_text(encoding="utf-8"))
@@ -46,6 +47,7 @@ def test_a_cell_that_fails_is_not_passed_over(notebooks):
         notebooks.execute({"cells": [cell]})
 
 
+@pytest.mark.slow
 def test_the_readmes_python_runs(repository, tmp_path, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", (repository / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     packed = repository / "tests" / "data" / "sitl_roll_pitch.tlog.xz"

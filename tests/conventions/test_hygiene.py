@@ -247,6 +247,7 @@ def coroutines(source: str) -> list[int]:
     ]
 
 
+@pytest.mark.slow
 def test_plans_are_made_by_plain_functions(repository):
     found = {p.relative_to(repository).as_posix(): coroutines(p.read_text()) for p in modules(repository)}
     assert not {path: lines for path, lines in found.items() if lines}, "call the function"

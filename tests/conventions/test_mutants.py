@@ -33,17 +33,20 @@ def test_every_module_that_decides_has_changes_and_each_makes_a_program():
         ast.parse(made)
 
 
+@pytest.mark.slow
 def test_without_tests_a_change_survives(project):
     some = mutants(["flight/gate.py"])[0]
     assert survives(Mutant(some.module, some.at, some.text, some.what, ("tests/mavlink/test_clock.py",)), project)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("module", "what"), NOTICED)
 def test_what_passed_every_test_once_is_noticed(project, module, what):
     (mutant,) = [m for m in mutants([module]) if m.what.endswith(what)]
     assert not survives(mutant, project)
 
 
+@pytest.mark.slow
 def test_tests_that_cannot_run_are_no_catch(project):
     with pytest.raises(RuntimeError, match="did not run"):
         passes(project, ("tests/no_such_test.py",))

@@ -8,6 +8,8 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 # What Python's documentation marks "Unix" or "not Windows".
 WINDOWS = """
 gone = "fcntl grp posix pty pwd resource syslog termios tty".split()
@@ -61,6 +63,7 @@ for words in sys.argv[1].split(";"):
 """
 
 
+@pytest.mark.slow
 def test_a_log_is_fitted_diagnosed_and_reported_without_what_windows_lacks(repository, tmp_path):
     log = repository / "tests" / "data" / "sitl_roll_pitch.tlog.xz"
     words = (

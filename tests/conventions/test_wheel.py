@@ -80,10 +80,12 @@ def check_types(unpacked, tmp_path_factory):
     return check
 
 
+@pytest.mark.slow
 def test_a_users_script_passes_strict_type_checking_against_the_wheel(repository, check_types):
     assert check_types((repository / "tests" / "conventions" / "user_script.py").read_text()) == ""
 
 
+@pytest.mark.slow
 def test_type_checking_sees_a_users_mistakes(check_types):
     lines = {
         "ft.fitt('flight.BIN')": 'has no attribute "fitt"',

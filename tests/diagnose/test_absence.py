@@ -105,6 +105,7 @@ def test_a_swing_that_nothing_moves_is_excluded_at_one_per_cent_by_what_contains
     assert bool(undriven(term, Fitted(Model((term.id,)), (name,), at, driven), known, estimator)) is said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hung", [True, False])
 def test_a_load_that_only_swings_before_each_response_is_no_load(hung):
     """In throttle steps under the real firmware, velocity wandered by 5 mm/s: four initial states per response followed it, and a load of

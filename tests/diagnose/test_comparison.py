@@ -62,6 +62,7 @@ def evidence(y, columns):
     return sum(log_evidence(larger, smaller, SimpleNamespace(segments=segments), GROUPS, floor).values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rho", [0.0, 0.8])
 def test_what_is_not_needed_has_no_evidence_on_the_average_and_is_not_named(rng, rho):
     found = []

@@ -48,6 +48,7 @@ def test_steady_wind_is_named_and_measured(windy):
     assert wind["w_west"]["value"] == pytest.approx(-1.0, abs=0.15)
 
 
+@pytest.mark.slow
 def test_what_is_called_assumed_has_the_value_that_was_assumed():
     """A search moves alpha, which hardly varying voltage leaves open; the last fit held it there: at -2.0 in one log, with K halved."""
     steps = campaign(2, throttles=False, yaws=False)
@@ -59,6 +60,7 @@ def test_what_is_called_assumed_has_the_value_that_was_assumed():
     assert (alpha.source, alpha.value) == ("assumed", found.model.param["alpha"].nominal)
 
 
+@pytest.mark.slow
 def test_thrust_of_a_model_with_another_alpha_is_compared_at_the_voltage_flown():
     found = diagnose(tilts(), only=("rate_limit",), previous={"K": (54.55, 0.05), "alpha": (0.0, None)})
     flown = flown_voltage(found.fit.problem.segments, found.model) / 22.2
@@ -74,6 +76,7 @@ def test_flights_that_move_one_axis_are_searched_for_that_one():
     assert diagnose(rolls, only=("rate_limit",)).verdict is Verdict.NOTHING_MISSING
 
 
+@pytest.mark.slow
 def test_an_interval_of_wind_holds_what_instruments_drift_by_and_no_more():
     """0.05 m/s^2 over drag of 0.4 1/s is 0.13 m/s. Flown once, 2.4 m/s was +- 2.3 and zero +- 7: what a response's own disturbance leaves
     of a constant is known by that disturbance's prior, which was not counted."""
@@ -82,6 +85,7 @@ def test_an_interval_of_wind_holds_what_instruments_drift_by_and_no_more():
         assert 0.1 < wind[name]["std"] < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "term", "expected"),
     [
@@ -96,6 +100,7 @@ def test_wind_bias_and_offset_are_not_mixed_up(hidden, term, expected):
         assert found.findings[0].parameters[name]["value"] == pytest.approx(value, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trim", [0.0, 1.0])
 def test_moments_of_the_air_are_named_and_measured_with_the_rate_at_which_they_are_trimmed(trim):
     others = ("roll_pitch_coupling", "attitude_extra_pole", "rate_limit")
@@ -110,6 +115,7 @@ def test_moments_of_the_air_are_named_and_measured_with_the_rate_at_which_they_a
     assert found.values["moment_trim_1_s"] == pytest.approx(trim, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_slow_rate_limit_is_named():
     """15 deg/s of a pilot's log were refused at the bound of 0.3 rad/s (15 noise floors, 350 nats)."""
     found = diagnose(tilts(rate_limit=0.2), only=("rate_limit", "attitude_extra_pole", "roll_pitch_coupling"))
@@ -117,6 +123,7 @@ def test_a_slow_rate_limit_is_named():
     assert found.values["rate_max"] == pytest.approx(0.2, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("term", "hidden"), [("slung_payload", {"payload": (0.2, 1.0)}), ("rate_limit", {"rate_limit": 0.3})]
 )
@@ -137,6 +144,7 @@ def test_two_effects_are_both_named():
     assert set(names(found)) == {"thrust_asymmetry", "throttle_curve"}
 
 
+@pytest.mark.slow
 def test_what_was_refitted_and_left_is_not_unseen(monkeypatch):
     monkeypatch.setattr(comparison, "LEAST_FLOORS", 1e6)
     found = diagnose(tilts(latency=0.12), only=("velocity_latency",))
@@ -158,6 +166,7 @@ def test_nothing_is_missing_where_nothing_is_hidden(calm):
     assert found.next_script["format"] == "maneuver/1"
 
 
+@pytest.mark.slow
 def test_a_flight_inside_the_zone_comes_before_one_for_a_larger_zone():
     """Of two effects that these flights could not show, the first needs heights that the zone does not have."""
     low_ceiling = {"two_heights"}
@@ -173,6 +182,7 @@ def test_a_flight_inside_the_zone_comes_before_one_for_a_larger_zone():
     assert without.next_reason["separates"] == ["ground_effect"], "where nothing fits, the first, for a larger zone"
 
 
+@pytest.mark.slow
 def test_what_is_proposed_is_fitted_to_the_zone_with_all_that_was_found():
     """By the model of one block a flight fitted the zone at its full size; held against it, 6 of its 27 steps did not."""
     asked = []
@@ -193,6 +203,7 @@ def test_what_is_proposed_is_fitted_to_the_zone_with_all_that_was_found():
     )
 
 
+@pytest.mark.slow
 def test_a_gust_is_set_aside_and_reported_and_hides_nothing():
     segments = fly(campaign(2), wind=(3.0, 0.0, 0.0), gust=((4, 5, 6), -2.0))
     found = diagnose(segments, only=["steady_wind", "accelerometer_bias"])
@@ -300,6 +311,7 @@ def test_an_interrupt_keeps_what_is_done():
     assert "v_x" in found.heldout
 
 
+@pytest.mark.slow
 def test_every_block_is_searched():
     said = []
     diagnose(fly(campaign(1)), only=("rate_limit",), support=Support(said.append))
@@ -307,6 +319,7 @@ def test_every_block_is_searched():
         assert f"{block}: base model fitted" in said
 
 
+@pytest.mark.slow
 def test_blocks_that_are_searched_apart_give_the_same_answer(monkeypatch):
     monkeypatch.setattr("flighttest.pipeline.parallel.usable_processes", lambda: 2)
     segments = fly(campaign(1), wind=(2.5, 0.0, 0.0))
@@ -325,6 +338,7 @@ def test_a_change_of_mass_is_seen_against_the_previous_model(calm):
     assert calm.baselines["f_z"]["previous model, as it was"] > 3 * calm.baselines["f_z"]["base model, refitted"]
 
 
+@pytest.mark.slow
 def test_what_every_accelerometer_drifts_by_is_neither_named_nor_missing():
     """It was named in 13 of 24 clean flights with 0.05 m/s^2 RMS, and where it was not, its place was unknown physics."""
     drifted = diagnose(

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from flighttest.diagnose.free_flight.equation_screen import screen
 from flighttest.diagnose.free_flight.equation_search import find_terms
@@ -24,6 +25,7 @@ def screened(offset: float) -> dict:
     return {s.term: s for s in screen(flown, base, POOL)}
 
 
+@pytest.mark.slow
 def test_a_tilted_thrust_axis_is_found_with_its_size():
     found = screened(0.03)
     first = next(iter(found.values()))
@@ -41,6 +43,7 @@ def curved(s):
     return replace(s, u={"throttle": (t, (np.sqrt((1 - c) ** 2 + 4 * c * linear) - (1 - c)) / (2 * c) * 9.81 / GAIN)})
 
 
+@pytest.mark.slow
 def test_what_few_blocks_show_surely_is_found():
     """Of 55 s of a figure of eight 16 had climbs: 413 nats of log likelihood, and a score test of p 0.011."""
     flown = [*flight(26.0, 31, run="climbs"), *flight(130.0, 32, run="level", climb=0.0)]
@@ -51,6 +54,7 @@ def test_what_few_blocks_show_surely_is_found():
     assert 0.4 < found.coefficients["curvature"] < 1.2
 
 
+@pytest.mark.slow
 def test_an_error_holds_what_one_block_decides():
     """Estimates of six flights with 9 s of climbs scatter by 0.055; by the sandwich of one step the error was 0.022 here."""
     some = stretches([*flight(9.0, 41, run="climbs"), *flight(80.0, 91, run="level", climb=0.0)])
@@ -59,6 +63,7 @@ def test_an_error_holds_what_one_block_decides():
     assert 0.055 / 2 < found.std["curvature"] < 0.055 * 2
 
 
+@pytest.mark.slow
 def test_where_nothing_is_missing_no_term_stands_out():
     found = screened(0.0)
     assert len(found) >= 10
@@ -89,6 +94,7 @@ def late(seconds, seed, samples):
     return [replace(whole, y=y)]
 
 
+@pytest.mark.slow
 def test_a_late_velocity_is_named_with_its_latency():
     delays = tuple(catalogue()[t] for t in ("velocity_latency", "thrust_extra_lag", "rotor_speed_lag", "axial_inflow"))
     found = find_terms(late(60.0, 31, 5), Model(attitude_loops=False), delays)

@@ -59,6 +59,7 @@ def diagnosed():
     return diagnose((*calm(), *windy()), Model(), weather={"calm": "still"})
 
 
+@pytest.mark.slow
 def test_a_wind_is_named_with_its_size_and_nothing_else_is():
     found = found_in_wind()
     assert list(found.named) == ["steady_wind"]
@@ -67,6 +68,7 @@ def test_a_wind_is_named_with_its_size_and_nothing_else_is():
     assert abs(wind.north + 7.0) < 3.0 * wind.north_std < 4.0
 
 
+@pytest.mark.slow
 def test_what_other_processes_estimate_is_what_this_one_would():
     dealt = []
 
@@ -85,6 +87,7 @@ def test_what_other_processes_estimate_is_what_this_one_would():
     assert max(items for items, _ in dealt) > 2
 
 
+@pytest.mark.slow
 def test_a_tilted_thrust_axis_in_still_air_is_called_no_wind():
     found = find_terms(stretches(tilted()), ALONE, POOL)
     assert "steady_wind" not in found.named
@@ -93,6 +96,7 @@ def test_a_tilted_thrust_axis_in_still_air_is_called_no_wind():
     assert abs(found.final.values["offset_pitch"] - 0.04) < 4.0 * found.final.std["offset_pitch"]
 
 
+@pytest.mark.slow
 def test_what_every_flight_shows_in_another_size_is_there_and_its_value_is_uncertain():
     offsets = (0.02, 0.04, 0.06)
     flown = [w for k, o in enumerate(offsets) for w in flight(40.0, 30 + k, gust=0.1, offset=o, run=f"tilted {k}")]
@@ -101,11 +105,13 @@ def test_what_every_flight_shows_in_another_size_is_there_and_its_value_is_uncer
     assert found.final.std["offset_pitch"] > 0.7 * np.std(offsets, ddof=1) / np.sqrt(3.0)
 
 
+@pytest.mark.slow
 def test_of_several_flights_that_lack_nothing_nothing_is_named():
     flown = [w for k in range(3) for w in flight(40.0, 40 + k, gust=0.5, run=f"calm {k}")]
     assert not find_terms(stretches(flown), ALONE, POOL).named
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["outside_prior", "against_larger"])
 def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monkeypatch, rule):
     """A load of -27 % of the mass was named on a tail-sitter, 71 nats better, with errors of 1.3 and 2.8 times the base model's."""
@@ -115,6 +121,7 @@ def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monke
     assert found.refused["attitude_offset"][1] == "it cannot be"
 
 
+@pytest.mark.slow
 def test_what_instruments_drift_by_is_estimated_beside_the_rest_and_has_no_name(monkeypatch):
     """Left in the noise, an accelerometer's lever arm of 0.049 m/s^2 concealed a load of 6.5 noise floors."""
     monkeypatch.setattr(equation_search, "DRIFT", dict.fromkeys(DRIFT, 10.0))
@@ -128,6 +135,7 @@ def test_what_instruments_drift_by_is_estimated_beside_the_rest_and_has_no_name(
     assert any("attitude_offset is in the model and no finding" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_force_below_what_instruments_drift_by_is_left_out(monkeypatch):
     """A third pole of 1.8 mrad beside a rate feedforward made the time of that 0.24 +- 0.06 s from 0.11 +- 0.01 s."""
     monkeypatch.setattr(equation_search, "DRIFT", dict.fromkeys(DRIFT, 10.0))
@@ -177,6 +185,7 @@ def test_a_term_whose_null_value_is_inside_its_interval_is_not_named(monkeypatch
     assert row["probability"] == pytest.approx(1.0)  # that of its evidence, which was not why it was refused
 
 
+@pytest.mark.slow
 def test_a_named_term_leaves_where_its_null_value_comes_to_be_inside_its_interval(monkeypatch):
     flown = stretches(flight(80.0, 24, gust=0.2, climb=1.0, run="fast", offset=0.06, quadratic=(0.2, 0.2, 0.2)))
     joined = {}  # with the terms that were there
@@ -196,6 +205,7 @@ def test_a_named_term_leaves_where_its_null_value_comes_to_be_inside_its_interva
     assert first not in found.named
 
 
+@pytest.mark.slow
 def test_a_coefficient_that_cannot_be_is_held_at_nothing_beside_those_that_can():
     """One that pushes was refused with the two that brake: what drove it there is not their effect."""
     flown = flight(80.0, 24, gust=0.2, climb=1.0, run="fast", quadratic=(0.2, 0.2, -0.15))
@@ -209,6 +219,7 @@ def test_a_coefficient_that_cannot_be_is_held_at_nothing_beside_those_that_can()
     assert "k_z held at 0" in finding.sentence
 
 
+@pytest.mark.slow
 def test_a_coefficient_of_the_base_is_not_held():
     """What a base lacks may be in it, and is looked for beside it."""
     found = find_terms(
@@ -217,6 +228,7 @@ def test_a_coefficient_of_the_base_is_not_held():
     assert found.base.values["d_z"] < -3.0 * found.base.std["d_z"]
 
 
+@pytest.mark.slow
 def test_of_a_differentiated_velocity_means_are_held_out_whose_noise_is_that_of_their_ends():
     """0.03 m/s at either end of half a second; single samples would have 2 m/s^2 of noise, in which no name is better or worse."""
     found = find_terms(stretches(flight(120.0, 26, gust=0.0, accelerometer=False, run="still")), ALONE, ())
@@ -224,6 +236,7 @@ def test_of_a_differentiated_velocity_means_are_held_out_whose_noise_is_that_of_
     assert held["a_y"]["all"]["rmse_before"] == pytest.approx(np.sqrt(2.0) * 0.03 / 0.5, rel=0.25)
 
 
+@pytest.mark.slow
 def test_the_floor_of_what_was_not_used_is_that_of_the_better_model():
     """As what the larger model leaves by itself, it hid that a vertical acceleration was predicted 19 % worse with a wind than without."""
     found = found_in_wind()
@@ -252,6 +265,7 @@ def test_a_name_goes_where_more_channels_are_surely_predicted_worse_with_it(gain
     assert bool(said) is bool(against)
 
 
+@pytest.mark.slow
 def test_where_nothing_is_missing_nothing_is_named():
     found = find_terms(stretches(calm()), ALONE, POOL)
     assert not found.named
@@ -264,6 +278,7 @@ def test_declared_still_air_is_no_candidate():
     assert not found.untestable
 
 
+@pytest.mark.slow
 def test_flights_in_two_winds_share_one_model_in_still_air():
     found = diagnosed()
     assert found.verdict is Verdict.EXPLAINED
@@ -281,6 +296,7 @@ def test_flights_in_two_winds_share_one_model_in_still_air():
     assert held["gain_95"][0] > 0.0
 
 
+@pytest.mark.slow
 def test_the_model_in_still_air_holds_for_motion_relative_to_the_air():
     found = found_in_wind()
     before, after = windy()[5], in_still_air(windy(), found.winds)[5]
@@ -311,6 +327,7 @@ def test_moments_are_trimmed_with_the_root_of_the_thrust_over_that_of_hover():
     assert exogenous(hard, "relative_thrust", 22.2, 0.0) == pytest.approx(1.44)
 
 
+@pytest.mark.slow
 def test_of_what_a_variable_orders_and_nothing_explains_all_is_unexplained():
     """The floor of free flight is what is left, so that nothing lies above it; "unexplained: 0 %" was said of flights of a tail-sitter."""
     odd = tuple(
@@ -323,6 +340,7 @@ def test_of_what_a_variable_orders_and_nothing_explains_all_is_unexplained():
     assert found.unexplained["excess_share"] == 1.0
 
 
+@pytest.mark.slow
 def test_what_stays_of_the_error_in_free_flight_holds_gusts_and_noise():
     """The floor is what is left, so that names removed 100 % of the error above it in any flight, whatever stayed."""
     found = diagnosed()
@@ -335,6 +353,7 @@ def test_what_stays_of_the_error_in_free_flight_holds_gusts_and_noise():
     )
 
 
+@pytest.mark.slow
 def test_the_headline_says_what_these_flights_do_not_distinguish():
     """One heading: a wind of 4.2 m/s in a tunnel was called a tilted thrust axis, with the rival only further down."""
     found = diagnosed()
@@ -367,6 +386,7 @@ def test_what_is_written_and_shown_has_the_winds():
     assert "Wind of each flight" in titles
 
 
+@pytest.mark.slow
 def test_flights_left_out_in_turn_keep_their_own_wind():
     third = tuple(flight(60.0, 24, (-4.0, 0.0), run="third"))
     found = find_terms(stretches((*calm(), *windy(), *third)), ALONE, TILTS)

@@ -27,6 +27,7 @@ def diagnosed(folder, files):
     return diagnose(segments, base_model(recordings, None))
 
 
+@pytest.mark.slow
 def test_the_gain_of_hops_is_the_one_that_holds_the_vehicle_in_the_air(shared_data):
     """19.2 m/s^2 at full throttle; the vehicle hovers at 0.60."""
     found = diagnosed(shared_data, CUT)
@@ -36,6 +37,7 @@ def test_the_gain_of_hops_is_the_one_that_holds_the_vehicle_in_the_air(shared_da
     assert found.values["K"] == pytest.approx(G_M_S2 / hover, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_motor_at_its_limit_is_named_where_the_weight_is_beside_it(shared_data):
     """By the recorded torque commands, motor 3 was asked for up to 1.64 of its range in that log (power_distribution_quadrotor.c)."""
     found = diagnosed(shared_data, WEIGHT)
@@ -43,6 +45,7 @@ def test_a_motor_at_its_limit_is_named_where_the_weight_is_beside_it(shared_data
     assert found.values["T_max"] == pytest.approx(0.72, abs=0.04)
 
 
+@pytest.mark.slow
 def test_two_vehicles_at_two_voltages_are_no_effect_of_the_voltage(shared_data):
     """Beside a sentence that the battery voltage explained 57 % of the residual's variance, nothing said that the flights differ."""
     found = diagnosed(shared_data, TWO_VEHICLES)

@@ -36,6 +36,7 @@ def recorded(compatibility=None, run="run"):
     return tuple(found)
 
 
+@pytest.mark.slow
 def test_a_late_velocity_is_named_and_the_rest_sees_it_at_its_time():
     answer = diagnose(recorded(found()), Model(), only=("velocity_latency",))
     assert answer.accepted == ("velocity_latency",)
@@ -78,6 +79,7 @@ def test_a_latency_is_one_that_every_recording_shows_and_that_leaves_little(runs
         assert made.error == WITH_GUSTS
 
 
+@pytest.mark.slow
 def test_a_stamp_is_no_latency_and_a_smaller_one_would_not_be_seen():
     answer = diagnose(recorded(found(0.004, std_s=0.001)), Model(), only=("velocity_latency",))
     assert answer.not_needed == ("velocity_latency",)
@@ -86,6 +88,7 @@ def test_a_stamp_is_no_latency_and_a_smaller_one_would_not_be_seen():
     assert unknown.term == "velocity_latency"
 
 
+@pytest.mark.slow
 def test_a_latency_that_the_model_holds_is_no_candidate():
     assert not diagnose(recorded(found()), Model() + "velocity_latency", only=()).accepted
 
@@ -105,6 +108,7 @@ def biased(value=(0.0, 0.0, -2.0), std=0.03, left=0.1, stretches=20):
     return replace(found(0.004, std_s=0.001, stretches=stretches), bias=bias)
 
 
+@pytest.mark.slow
 def test_a_biased_accelerometer_is_named_and_not_taken_for_thrust():
     """An accelerometer that measures 2 m/s^2 too little, of a vehicle whose K is 19.6."""
     windows = flight(60.0, 31, gust=0.2)[1:]
@@ -161,6 +165,7 @@ def test_both_errors_are_named_of_one_recording():
     assert corrected.y["v_x_m_s"][:-5] == pytest.approx(first.y["v_x_m_s"][5:])
 
 
+@pytest.mark.slow
 def test_no_bias_and_the_smallest_that_would_have_been_seen():
     made = by_kinematics(recorded(biased((0.0, 0.0, 0.05))), POOL)
     assert "accelerometer_bias" in made.tried

@@ -50,6 +50,7 @@ def accepted(found, **other):
     )
 
 
+@pytest.mark.slow
 def test_what_the_models_own_flights_left_alike_is_no_change(own, again):
     assert again.verdict is Verdict.UNKNOWN_PHYSICS
     stored = accepted(own)
@@ -62,6 +63,7 @@ def test_what_the_models_own_flights_left_alike_is_no_change(own, again):
     assert as_old(again, accepted(own, left=[])) == ()
 
 
+@pytest.mark.slow
 def test_a_mismatch_that_grew_or_is_elsewhere_is_a_change(own, again):
     stored = accepted(own)
     (new,) = appeared(tilts(8, rate_limit=1.2), stored)
@@ -71,6 +73,7 @@ def test_a_mismatch_that_grew_or_is_elsewhere_is_a_change(own, again):
     assert [a.term for a in appeared(again, accepted(tilts(7)))] == [""], "the model's own flights left none"
 
 
+@pytest.mark.slow
 def test_a_name_for_what_was_there_alike_is_no_change(own):
     found = tilts(8, only=("rate_limit",), rate_limit=4.0)
     assert found.accepted == ("rate_limit",)
@@ -81,12 +84,14 @@ def test_a_name_for_what_was_there_alike_is_no_change(own):
     assert new.term == "rate_limit"
 
 
+@pytest.mark.slow
 def test_an_effect_that_came_beside_what_was_there_is_a_change(own):
     found = tilts(8, only=("velocity_latency",), rate_limit=4.0, latency=0.12)
     assert found.accepted == ("velocity_latency",)
     assert [a.term for a in appeared(found, accepted(own))] == ["velocity_latency"]
 
 
+@pytest.mark.slow
 def test_a_name_for_what_was_there_names_nothing_that_stays_beside_it(own):
     """A payload that nothing was offered for, beside a rate limit that was there."""
     found = tilts(8, only=("rate_limit",), rate_limit=4.0, payload=(0.3, 1.0))

@@ -66,6 +66,7 @@ def searched(moment):
     return find_terms(flown(moment), Model(), POOL, part="roll_pitch")
 
 
+@pytest.mark.slow
 def test_a_moment_is_named_from_an_optimum_of_the_loops_without_it():
     """There the frequency of the roll loop is not known, and what a moment has to be is not known either."""
     found = searched(MOMENT)
@@ -77,6 +78,7 @@ def test_a_moment_is_named_from_an_optimum_of_the_loops_without_it():
         )
 
 
+@pytest.mark.slow
 def test_whether_a_moment_is_there_does_not_depend_on_how_well_the_loop_is_known():
     """A moment acts as M / omega^2: each is known only with the other, and that there is one is sure."""
     final = searched(MOMENT).final
@@ -86,6 +88,7 @@ def test_whether_a_moment_is_there_does_not_depend_on_how_well_the_loop_is_known
     assert final.values["l_v"] > 20.0 * np.sqrt(there[moment, moment])
 
 
+@pytest.mark.slow
 def test_a_term_is_estimated_from_usual_loops_too(monkeypatch):
     """Six flights of a Crazyflie with a load had loops without a moment of the air from where none was found."""
     starts = []

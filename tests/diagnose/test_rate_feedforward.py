@@ -39,6 +39,7 @@ def flown(feedforward_s, seconds=75.0):
     return tuple(found)
 
 
+@pytest.mark.slow
 def test_a_rate_given_beforehand_is_named_with_its_time_and_the_loop_is_as_it_is():
     """Without the name the loop of a pilot's log had omega 21 1/s and zeta 0.15; with it 15 and 0.9."""
     found = diagnose(flown(GIVEN_S), only=RIVALS)
@@ -52,5 +53,6 @@ def test_a_rate_given_beforehand_is_named_with_its_time_and_the_loop_is_as_it_is
     assert found.values["zeta_theta"] == pytest.approx(ZETA, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_loop_that_is_given_the_reference_alone_has_no_feedforward():
     assert not diagnose(flown(0.0), only=RIVALS).findings

@@ -218,6 +218,7 @@ def test_the_multiple_of_a_difference_is_known_to_two_fifths(rng):
     assert scored.log_odds == pytest.approx(with_it - without, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_of_noise_alone_hardly_anything_is_proposed_however_many_candidates_there_are(rng):
     proposed = {3: 0, 30: 0}
     for _ in range(60):

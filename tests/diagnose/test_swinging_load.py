@@ -33,6 +33,7 @@ def screened(ratio, seed):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "named"), [(0.15, ["slung_payload"]), (0.0, [])])
 def test_a_load_that_no_score_test_shows_is_estimated_once_nothing_else_is_left(monkeypatch, ratio, named):
     """The noise of a model without a load holds its swing: p 0.06 for one that 220 nats showed."""
@@ -48,6 +49,7 @@ def test_a_load_that_no_score_test_shows_is_estimated_once_nothing_else_is_left(
         assert found.final.values["payload_ratio"] == pytest.approx(ratio, abs=0.02)
 
 
+@pytest.mark.slow
 def test_residuals_of_an_estimate_are_about_the_states_that_were_predicted():
     asked = ModelEstimates(parted(0.15, 7), "translation", {}, (), SearchSupport())
     found = asked.estimate(ALONE.with_terms(LOAD), {"cable_m": 0.8})
@@ -56,6 +58,7 @@ def test_residuals_of_an_estimate_are_about_the_states_that_were_predicted():
         assert float(np.sqrt(np.mean(left**2))) == pytest.approx(rms, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_of_the_settings_of_a_term_those_that_physics_does_not_allow_come_last():
     """A load of negative mass on 3.2 m of cable has p 0.08 here, one of positive mass on 0.8 m p 0.42."""
     assert screened(0.0, 6).coefficients["payload_ratio"] > 0.0

@@ -27,6 +27,7 @@ def diagnosed(shared_data, repository, *flights, **options):
     return diagnose(*read(shared_data, repository, *flights), **options)
 
 
+@pytest.mark.slow
 def test_a_wind_is_named_where_the_fan_blew_and_its_interval_holds_that_of_the_fan(shared_data, repository):
     found = diagnosed(shared_data, repository, "NF-T_35wind", only=(WIND_TERM, *BESIDE_WIND, "translational_lift"))
     assert "steady_wind" in found.accepted
@@ -38,6 +39,7 @@ def test_a_wind_is_named_where_the_fan_blew_and_its_interval_holds_that_of_the_f
     assert row["interval_95"] == pytest.approx([wind["w_north"] - half, wind["w_north"] + half])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flight", ["L1_70wind", "NF-C_70wind", "NF-T_70wind"])
 def test_no_offset_that_vehicles_do_not_have_makes_a_wind_stronger(shared_data, repository, flight):
     """At one heading an offset of 5 to 9 degrees beside drag that goes with thrust had 10.1 to 11.2 m/s for the fans' 8.5."""
@@ -47,6 +49,7 @@ def test_no_offset_that_vehicles_do_not_have_makes_a_wind_stronger(shared_data, 
     assert abs(wind.north + 8.5) < wind.factor_95 * wind.north_std
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flight", "m_u", "m_w"),
     [("NF-T_nowind", 1.2, 0.0), ("L1_70wind", 2.0, 2.7)],
@@ -65,6 +68,7 @@ def test_moments_of_the_air_are_named_where_the_motors_trim_them(shared_data, re
     assert pitch["rmse_after"] < pitch["rmse_before"]
 
 
+@pytest.mark.slow
 def test_moments_that_go_with_the_thrust_are_no_shaping_of_references(shared_data, repository):
     """In a wind of 4.2 m/s moments without the thrust left 86 nats to a shaping that no autopilot of these flights has."""
     segments, model = read(shared_data, repository, "L1_35wind", "NF-C_35wind", "NF-T_35wind")
@@ -77,6 +81,7 @@ def test_moments_that_go_with_the_thrust_are_no_shaping_of_references(shared_dat
     assert "reference_shaping" not in found.named
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "flights", [("L1_nowind", "NF-C_nowind"), ("L1_nowind", "NF-C_nowind", "NF-T_nowind")], ids=len
 )

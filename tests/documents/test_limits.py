@@ -128,6 +128,7 @@ def test_a_nested_event_is_a_loss_of_one_line(run_dir: Path) -> None:
     assert len(losses) == 1
 
 
+@pytest.mark.slow
 def test_a_channel_that_claims_billions_of_rows_is_refused(run_dir: Path) -> None:
     from flighttest.recording.store import open_run
 

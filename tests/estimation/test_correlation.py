@@ -84,6 +84,7 @@ def test_only_a_velocity_whose_specific_force_was_recorded_counts_less(rng):
     assert counted(np.zeros((200, 150)))["v_x_m_s"] == 1.0
 
 
+@pytest.mark.slow
 def test_a_velocity_whose_error_wanders_is_seen_to():
     rng, moved = np.random.default_rng(0), []
     for s in fly(campaign(2)):

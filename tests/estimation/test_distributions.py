@@ -37,6 +37,7 @@ def test_a_variance_ratio_of_two_degrees_of_freedom_has_no_mean():
     assert distributions.expected_excess(0.0, 9.0, 50.0) == 0.0
 
 
+@pytest.mark.slow
 def test_fitting_loads_no_statistics_package():
     code = "import flighttest.cli.main, flighttest.pipeline.identification.fitting, sys; print('scipy.stats' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)

@@ -201,6 +201,7 @@ def test_nuisance_parameters_are_damped_with_the_parameters():
     assert abs(found.point.nuisance) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_model_that_is_only_compared_with_a_better_one_is_near_enough_its_minimum_sooner():
     apart, steps, share = 100.0, [0, 0], []
     for reference, which in STARTS:

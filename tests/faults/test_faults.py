@@ -47,6 +47,7 @@ def test_a_change_of_state_that_no_cell_makes(name: str) -> None:
     assert cell.ok, f"{cell.ended}: {cell.wrong}"
 
 
+@pytest.mark.slow
 def test_ctrl_c_is_answered_at_a_terminal() -> None:
     """In the state that takes least to reach; all of them by `make faults-interrupts`."""
     (found,) = measure(("connecting to fetch a log",))

@@ -84,6 +84,7 @@ def killed_before_it_restores(run_dir: Path) -> float:
     return 0.0
 
 
+@pytest.mark.slow
 def test_what_a_killed_program_left_is_restored_by_the_next_flight(tmp_path: Path) -> None:
     should = killed_before_it_restores(tmp_path / "2026-01-01-a")
     behind = left_behind(tmp_path, "paper")

@@ -100,6 +100,7 @@ def test_a_polygon_that_is_there_already(change, along: bool) -> None:  # type: 
     assert lies_along((OWN[0], *polygon(change(corners))), corners) is along
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fence", "follows"), [("polygon", False), ("circle", True)])
 def test_the_zone_stays_along_its_polygon_when_home_moves_at_arming(
     fence: str, follows: bool, run_dir: Path, monkeypatch: pytest.MonkeyPatch
@@ -149,6 +150,7 @@ def test_it_is_added_to_the_vehicles_own_where_asked(run_dir: Path) -> None:
     assert same_fence(aboard(link), OWN)
 
 
+@pytest.mark.slow
 def test_frames_lost_of_the_transfer(run_dir: Path) -> None:
     """Each kind of the vehicle's questions and answers: the first, the third and the sixth are lost."""
     link = FaultyLink(options())

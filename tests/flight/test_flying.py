@@ -308,6 +308,7 @@ def test_an_empty_battery_ends_the_flight_before_the_next_leg(run_dir: Path) -> 
     assert not link.sim.vehicle.armed
 
 
+@pytest.mark.slow
 def test_a_pack_that_is_not_full_is_worth_a_word(run_dir: Path, tmp_path: Path) -> None:
     spread = replace(make_leg("a"), voltage_v=24.5)
     result = fly(make_plan(spread), "sim", run_dir, transport=FaultyLink(options(voltage_v=23.2)))
@@ -316,6 +317,7 @@ def test_a_pack_that_is_not_full_is_worth_a_word(run_dir: Path, tmp_path: Path) 
     assert not any("battery begins" in note for note in full.notes)
 
 
+@pytest.mark.slow
 def test_what_was_flown_is_not_flown_again(run_dir: Path, tmp_path: Path) -> None:
     fly(make_plan(make_leg("a")), "sim", run_dir, transport=FaultyLink(options()))
     result = fly(
@@ -367,6 +369,7 @@ def test_preflight_says_everything_at_once(run_dir: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_takes_off_outside_of_the_zone_is_refused(run_dir: Path) -> None:
     """It flew 125 m to a zone beside home, and 500 m would have been accepted where a coordinate was mistyped."""
     zone = Zone(x_m=(20.0, 50.0), y_m=(-7.5, 7.5), z_m=(1.0, 10.0))

@@ -203,6 +203,7 @@ class StaysArmed(FaultyLink):
         self._read, self._again, self._was = parser(1, 1), parser(1, 1), False
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_stays_armed_on_the_ground_is_said_and_how_it_is_disarmed(run_dir: Path) -> None:
     """Seen on a real ArduCopter with a dead motor: two minutes of "landing", then "whether it is down is not known"."""
     link = StaysArmed(options())

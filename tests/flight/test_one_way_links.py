@@ -102,6 +102,7 @@ def test_a_lost_uplink_ends_the_step_at_once_and_the_flight_in_time(duration_s: 
     assert max(p.silence_s for p in seen) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("presses", "outcome"), [(1, "UPLINK_LOST"), (2, "OPERATOR_ABORT")])
 def test_ctrl_c_ends_a_flight_whose_uplink_is_lost(presses: int, outcome: str, run_dir: Path) -> None:
     link = FaultyLink(options())
@@ -122,6 +123,7 @@ def test_ctrl_c_ends_a_flight_whose_uplink_is_lost(presses: int, outcome: str, r
     assert result.parameters_left
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("after_s", "left"), [(-0.5, "UNKNOWN"), (1.0, "LANDING_UNSEEN")])
 def test_a_link_lost_while_landing_claims_no_landing(after_s: float, left: str, run_dir: Path) -> None:
     link = FaultyLink(options())
@@ -190,6 +192,7 @@ def test_a_climb_that_is_ended_by_old_telemetry_is_no_refused_command(run_dir: P
     assert any("attitude telemetry is missing or too old" in note for note in result.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stream", ["ATTITUDE", "HEARTBEAT", "LOCAL_POSITION_NED", "EKF_STATUS_REPORT"])
 def test_a_stream_that_another_station_switches_off_is_asked_for_again(stream: str, run_dir: Path) -> None:
     link = FaultyLink(options())

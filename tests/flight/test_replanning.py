@@ -127,6 +127,7 @@ def test_a_corrected_prior_shows_the_curvature_and_the_hover_that_were_seen(volt
     assert back.values["K"] == pytest.approx(prior.corrected(hover, voltage).values["K"])
 
 
+@pytest.mark.slow
 def test_a_vehicle_whose_thrust_grows_faster_than_its_throttle_is_flown_to_the_end(run_dir: Path) -> None:
     curved = options(hide={"throttle_curve": {"curvature": 0.25}})
     prior = predictor_for(None, DEFAULT_VEHICLE)
@@ -169,6 +170,7 @@ def test_a_plan_follows_what_was_learnt() -> None:
     assert all(dict(c.held_s)["step"] < record[c.label] for c in new.cells), "a quicker, stronger climb is held shorter"
 
 
+@pytest.mark.slow
 def test_a_quicker_vehicle_than_assumed_is_flown_to_the_end(run_dir: Path) -> None:
     quick = {"T_d": 0.005, "sigma_t": 90.0, "K": 56.0}
     prior = predictor_for(None, DEFAULT_VEHICLE)
@@ -204,6 +206,7 @@ def test_after_an_abort_the_vehicle_stops_before_it_goes_on(run_dir: Path) -> No
     assert next(speed for mode, speed in speeds[brake[0] :] if mode != 17) < 0.5
 
 
+@pytest.mark.slow
 def test_a_leg_that_the_weather_may_have_spoilt_is_tried_once_more_at_the_end(run_dir: Path) -> None:
     times: list[int] = []
 

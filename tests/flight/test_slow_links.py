@@ -99,6 +99,7 @@ def test_rates_fit_into_what_a_link_carries() -> None:
     assert declared_bytes_s("tcp:127.0.0.1:5760") is None
 
 
+@pytest.mark.slow
 def test_a_link_that_slows_down_in_flight_is_asked_for_less_and_later_for_all_again(tmp_path: Path) -> None:
     """At 5760 bytes/s HEARTBEAT is lost among what does not fit: without fewer messages the flight ends as if the link were gone."""
     fault = Fault("5760 bytes/s", 12.0, bytes_per_s=5760.0)
@@ -122,6 +123,7 @@ def test_a_climb_is_not_fed_back_over_a_link_that_takes_too_long(unanswered_s: f
     assert (control.release_target().throttle < GATE.hover_throttle) is fed_back
 
 
+@pytest.mark.slow
 def test_a_link_of_lasting_latency_does_not_leave_the_vehicle_level_for_long(tmp_path: Path) -> None:
     """Seen: answers that are late for as long as they come kept a flown step from its end, and level targets do not hold the height: from
     5 m the vehicle sank to the ground."""

@@ -91,6 +91,7 @@ def test_a_lost_downlink_between_two_steps_ends_the_flight(run_dir: Path) -> Non
     assert last < ended[0] + 1.5 + 1.6, "a pilot's take-over would not be seen now"
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_refuses_guided_is_held_level_and_landed(run_dir: Path) -> None:
     link = FaultyLink(options())
     ended = marked(link, " end", then=lambda: link.set_parameter("SIM_GPS1_ENABLE", 0.0))
@@ -156,6 +157,7 @@ class StandsStill(Proxy):
         return super().receive(timeout_s)
 
 
+@pytest.mark.slow
 def test_a_program_that_stood_still_after_it_had_read_reads_first(run_dir: Path) -> None:
     """A laptop that was suspended there: 30 s without a HEARTBEAT, and hundreds of them waiting to be read."""
     proxy = StandsStill(SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0), Fault("nothing"), When.FLYING)

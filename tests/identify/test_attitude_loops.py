@@ -73,6 +73,7 @@ def piloted(seconds, seed, torque=4.0, moment=0.0, rate_hz=50.0, lag_s=0.0):
     return tuple(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [50.0, 10.0])
 def test_a_pilot_who_answers_gusts_does_not_bias_the_loops(rate_hz):
     """Gusts of torque tilt the vehicle by 3 degrees, a fifth of what it flies."""
@@ -86,6 +87,7 @@ def test_a_pilot_who_answers_gusts_does_not_bias_the_loops(rate_hz):
     assert np.mean(np.abs(errors) < 2.0) >= 0.85
 
 
+@pytest.mark.slow
 def test_output_error_takes_the_answer_to_a_gust_for_its_cause():
     """Why the loops of free flight have an estimator of their own."""
     segments = piloted(60.0, 0)
@@ -97,6 +99,7 @@ def test_output_error_takes_the_answer_to_a_gust_for_its_cause():
     assert wrong > 2.0 * right
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_is_faster_than_the_loops_does_not_decide_what_they_are(seed):
     """Motors of 40 ms inside the loops: by single samples of 50 Hz, where the noise is least, the angles were missed by a fifth more than
@@ -119,6 +122,7 @@ def test_a_fit_and_a_diagnosis_print_the_same_values_and_intervals():
         assert found.before[name]["interval_95"] == pytest.approx(one.interval_95)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_is_held_stays_and_the_others_are_estimated_beside_it():
     """A fit with --freeze went to output error, and answered otherwise than one without."""
     held = fit_by_prediction_errors(piloted(60.0, 0), Model(), ALL, {"omega_phi": TRUTH["omega_phi"]})
@@ -130,6 +134,7 @@ def test_a_parameter_that_is_held_stays_and_the_others_are_estimated_beside_it()
         assert abs(one.value - TRUTH[name]) < 4.0 * one.std
 
 
+@pytest.mark.slow
 def test_an_interrupt_while_the_loops_are_searched_keeps_the_translation(monkeypatch):
     """It lost the whole diagnosis."""
 
@@ -156,6 +161,7 @@ def test_all_of_a_flight_is_estimated_by_prediction_errors_where_somebody_steere
     assert parts_by_prediction_errors(windows[:1]) == ()  # 2.5 s, of which a second is what the others begin from
 
 
+@pytest.mark.slow
 def test_an_attitude_that_is_stuck_shows_nothing_of_its_loop():
     """Its loop is assumed, the other one is not moved by it, and a model file is written."""
     whole = piloted(60.0, 0)

@@ -85,6 +85,7 @@ def test_few_responses_of_the_right_model_do_not_make_the_descent_differ(seed):
     assert block_coordinate_descent(fit(spot)).differs == ()
 
 
+@pytest.mark.slow
 def test_throttle_and_tilt_steps_of_different_vehicles_are_distinguished():
     throttle = [s for s in campaign(1) if s.kind == "throttle_step"]
     tilt = [

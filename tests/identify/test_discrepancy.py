@@ -85,6 +85,7 @@ def mean_of(dof_above, dof_below, seed=0):
     return np.maximum(observed / other - 1.0, 0.0).mean()
 
 
+@pytest.mark.slow
 def test_of_equations_that_hold_the_variance_is_the_mean_of_what_an_analysis_of_variance_leaves_open(yaw):
     """White noise of std 1 in means over 0.1 s, of 5 samples, has variance 1/5; 24 of these in each of 4 cells, 6 repeats."""
     variances = [variance_of(fit(noisy(yaw, 0.05, seed))) for seed in range(16)]
@@ -93,6 +94,7 @@ def test_of_equations_that_hold_the_variance_is_the_mean_of_what_an_analysis_of_
     assert np.mean(variances) == pytest.approx(expected, rel=0.3)
 
 
+@pytest.mark.slow
 def test_flown_once_white_noise_leaves_little_room_and_a_smooth_error_is_in_the_interval(yaw):
     """All of the residual was taken for an error of the equations where nothing was repeated: noise of 1 counted as 1."""
     once = [s for s in yaw if s.repeat == 1]

@@ -67,6 +67,7 @@ def test_missing_samples_and_uneven_times_do_no_harm(flown):
         assert abs(estimates[name].value - truth(name)) < 4 * estimates[name].std, name
 
 
+@pytest.mark.slow
 def test_an_outlying_repeat_is_reported_and_hardly_moves_the_fit(flown, found):
     at = next(i for i, s in enumerate(flown) if s.kind == "throttle_step")
     hit = flown[at]

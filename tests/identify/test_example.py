@@ -12,6 +12,7 @@ from flighttest.identify.models.export import export
 from flighttest.identify.models.model_file import from_fit
 
 
+@pytest.mark.slow
 def test_the_planner_reaches_its_target_with_the_exported_model(found, tmp_path, repository):
     export(from_fit(found), "casadi", tmp_path)
     run = subprocess.run(

@@ -108,6 +108,7 @@ def test_adjoining_windows_are_one_stretch():
     assert len(stretches([w for k, w in enumerate(windows) if k != 20])) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accelerometer", [True, False])
 def test_a_load_that_swings_as_stretches_begin_is_found_as_it_is(accelerometer):
     """With a load at rest as each stretch begins its cable was 0.69 m, damped by 0.06; with small motion about rest the mass 0.10."""
@@ -122,6 +123,7 @@ def test_a_load_that_swings_as_stretches_begin_is_found_as_it_is(accelerometer):
     assert found.values["swing_damping"] == pytest.approx(0.02, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accelerometer", [True, False])
 def test_a_position_loop_in_gusts_does_not_bias_the_estimates(accelerometer):
     segments = flown() if accelerometer else flight(120.0, 2, accelerometer=False)
@@ -160,6 +162,7 @@ def test_of_output_error_too_the_interval_decides_what_is_known():
     assert "95 % interval" in drag.why
 
 
+@pytest.mark.slow
 def test_an_estimate_does_not_depend_on_where_it_began():
     """Steps cut to what one lag may move left winds between 4 and 8 m/s for one flight, by their start."""
     some, none = stretches(flown()), {"sigma_t": 60.0, "T_d_thrust": 0.02, "K": 40.0, "d_x": 1.0}
@@ -215,6 +218,7 @@ def test_a_stretch_with_a_hole_is_estimated_from_what_is_beside_it():
     assert abs(found.values["K"] - GAIN) < 3.0 * found.std["K"]
 
 
+@pytest.mark.slow
 def test_equations_of_the_wrong_form_widen_intervals():
     """A force by the square of the speed, fitted by a line: the square recurs with the state."""
     some = stretches(flown())
@@ -265,6 +269,7 @@ def test_a_velocity_is_predicted_from_the_past_alone():
         assert np.abs(before - v)[20:].max() < 0.01
 
 
+@pytest.mark.slow
 def test_each_flight_has_its_own_wind_and_drag_is_shared():
     segments = flight(60.0, 3, (0.0, 0.0), run="calm", offset=0.03) + flight(
         60.0, 4, (-4.0, 2.0), run="windy", offset=0.03

@@ -23,6 +23,7 @@ def blind(**more):
     return found
 
 
+@pytest.mark.slow
 def test_level_flight_is_assumed_and_the_doubt_stated():
     seen = fit(climbed(0.0), Model(attitude_loops=False))
     found = fit(blind(), Model(attitude_loops=False))
@@ -32,6 +33,7 @@ def test_level_flight_is_assumed_and_the_doubt_stated():
     assert not found.estimates["d_x"].identifiable
 
 
+@pytest.mark.slow
 def test_of_half_an_attitude_nothing_horizontal_moves_the_vertical():
     """Recorded roll alone turned lateral motion, which is not compared, into a climb: lateral drag and disturbances took up its errors."""
     rolling = fit(blind(roll_rad=lambda t: 0.1 * np.sin(3.0 * t)), Model(attitude_loops=False))
@@ -72,6 +74,7 @@ def test_a_differentiated_position_is_no_tilt():
     assert taken_as_level(noisy)
 
 
+@pytest.mark.slow
 def test_the_crazyflies_of_a_damaged_propeller_are_fitted(shared_data):
     folder = shared_data / "propeller_damage" / "motor_data" / "normal_flight"
     found = fitted([folder / "E9_log00"]).value

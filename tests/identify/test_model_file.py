@@ -207,6 +207,7 @@ def test_a_fit_that_no_fit_can_have_found_is_refused(tmp_path):
         model_file.read(path)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_only_prediction_errors_show_does_not_end_the_model_file(flown):
     """The acceleration limit of a shaping was estimated by prediction errors and never reached: it changes nothing in output error, and a
     diagnosis ended in a traceback after 100 s."""

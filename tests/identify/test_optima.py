@@ -111,6 +111,7 @@ def test_a_height_loop_that_answers_gusts_is_seen_in_the_errors():
         assert gusty.estimates[name].scatter == pytest.approx(np.hypot(known, moved[name]))
 
 
+@pytest.mark.slow
 def test_under_a_position_loop_in_strong_gusts_three_of_four_estimates_are_within_two_standard_errors():
     """Calibration of the closed-loop bias (`benchmarks.closed_loop`) where it matters most: with half of it 0.69, with one and a half of it
     0.81 of these are."""
@@ -123,6 +124,7 @@ def test_under_a_position_loop_in_strong_gusts_three_of_four_estimates_are_withi
     assert 0.74 < np.mean(within) < 0.80
 
 
+@pytest.mark.slow
 def test_noise_of_instruments_does_not_hide_what_was_answered():
     """On hops of a small vehicle ground effect was -0.23 +- 0.11 m^2: the residual was mostly vibration, and seemed to last no time."""
     rng = np.random.default_rng(3)

@@ -123,6 +123,7 @@ def test_without_attitude_only_level_steps_tell_of_thrust(flown):
     assert {found.problem.segments[r.index].kind for r in part.responses} <= {"throttle_step", "yaw_rate_step"}
 
 
+@pytest.mark.slow
 def test_a_model_no_better_than_the_mean_makes_nothing_known(flown):
     rng = np.random.default_rng(3)
     free = [replace(s, kind="free", cell={}) for s in flown if s.kind == "throttle_step"]
@@ -168,6 +169,7 @@ def test_windows_of_free_flight_are_compared_by_how_lively_they_are(omega):
     assert estimates["omega_phi"].identifiable == (omega != 15.0)
 
 
+@pytest.mark.slow
 def test_runs_with_different_filters_are_each_read_through_their_own():
     rng = np.random.default_rng(4)
     flown = campaign(

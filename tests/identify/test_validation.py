@@ -46,6 +46,7 @@ def table(found, flight):
     return validate(from_fit(found), flight, previous=from_fit(found))
 
 
+@pytest.mark.slow
 def test_the_full_model_beats_each_simplification(table):
     for variation in (Variation.LINEARISED, Variation.NO_DRAG, Variation.NO_BATTERY, Variation.HOLD):
         for horizon in (0.5, 1.5, 3.0):
@@ -107,6 +108,7 @@ def test_a_flight_without_throttle_cannot_be_validated(found, flight):
         validate(from_fit(found), bare)
 
 
+@pytest.mark.slow
 def test_residuals_on_the_flight_are_tested_for_the_commands(table, found, flight):
     windows = [s for f in flight for s in pieces(f, 4)]
     right = {t.channel: t for t in validate(from_fit(found), windows).residuals}
@@ -133,6 +135,7 @@ def test_a_flight_without_voltage_is_flown_at_the_models_own(found, flight):
     assert voltage_for(stored, flight[0]) is flight[0]
 
 
+@pytest.mark.slow
 def test_a_model_of_flights_without_voltage_takes_none(found, flight):
     stored = from_fit(found)
     parameters = {**stored.parameters, "alpha": replace(stored.parameters["alpha"], source="assumed", std=None)}

@@ -29,6 +29,7 @@ def stream(px4: Px4, roll_rad: float, for_s: float) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_roll_step_is_flown_offboard_and_the_vehicle_lands() -> None:
     with Px4Double() as vehicle:
         px4 = Px4.connect(vehicle.url)
@@ -66,6 +67,7 @@ def test_arming_that_px4_refuses_is_an_error() -> None:
     assert not vehicle.armed
 
 
+@pytest.mark.slow
 def test_offboard_ends_by_the_vehicle_when_targets_stop() -> None:
     """MAVSDK repeats the last target by itself until it is stopped: PX4 notices only a client that was killed."""
     with Px4Double(armed=True, height_m=3.0) as vehicle:

@@ -61,6 +61,7 @@ def test_a_key_is_made_for_its_owner_and_read_again(tmp_path: Path) -> None:
             read_key(path)
 
 
+@pytest.mark.slow
 def test_a_signed_flight_is_flown_and_frames_without_the_key_change_nothing(run_dir: Path) -> None:
     link = FaultyLink(options(signing_key=KEY.hex()))
     unsigned = parser(245, 191)
@@ -118,6 +119,7 @@ def test_the_vehicle_takes_a_key_and_gives_it_back() -> None:
     assert signing.key == b""
 
 
+@pytest.mark.slow
 def test_status_reads_a_vehicle_that_signs_with_its_key_only(tmp_path: Path) -> None:
     path = tmp_path / "hexa.key"
     key = make_key(path)

@@ -38,6 +38,7 @@ def test_no_listener() -> None:
         open_transport(f"tcp:127.0.0.1:{port}")
 
 
+@pytest.mark.slow
 def test_tcp_connects_again_when_the_other_side_comes_back() -> None:
     server = socket.create_server(("127.0.0.1", 0))
     port = server.getsockname()[1]
@@ -105,6 +106,7 @@ def beat(system: int, mode: int, armed: bool = True) -> bytes:
     return bytes(message.pack(parser(system, 1)))
 
 
+@pytest.mark.slow
 def test_a_connected_vehicle_is_who_first_spoke_as_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another sender that reaches the port can neither act as the vehicle nor receive its targets; a station beside it does no harm."""
     monkeypatch.setattr("flighttest.link.transport.PEER_S", 0.2)

@@ -88,6 +88,7 @@ def test_messages_without_a_format_are_reported_and_cost_no_others(dataflash):
     assert "20 messages of type 200" in log.notes[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["copter_3.2_2014.BIN", "copter_3.4_mechanical_failure.bin", "sitl_4.7dev_steps.BIN"])
 def test_values_are_identical_to_pymavlinks(shared_data, name):
     path = shared_data / "arducopter_logs" / name

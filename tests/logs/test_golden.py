@@ -93,6 +93,7 @@ def test_the_vehicle_turns_to_the_side_it_was_asked_to(onboard_segments):
         assert np.mean(s.y[channel][late]) == pytest.approx(asked, rel=0.12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["onboard_segments", "ground_segments"])
 def test_a_fit_finds_the_vehicle(source, request):
     found = fit(request.getfixturevalue(source))

@@ -43,6 +43,7 @@ def test_a_line_that_is_no_message_is_left_out(line):
     assert found["MSG"].text("Message") == ["a text, with commas"]
 
 
+@pytest.mark.slow
 def test_a_whole_log_as_text_is_the_same_recording(repository, tmp_path):
     path = repository / "tests" / "data" / "sitl.BIN.xz"
     log = read_dataflash(LogFile(path).pieces())

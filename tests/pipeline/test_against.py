@@ -32,6 +32,7 @@ def _nothing_found(monkeypatch):
     monkeypatch.setattr(against, "run_diagnosis", no_search)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_nothing_found")
 def test_a_simulator_with_too_much_thrust_is_reported_and_corrected(
     flight_csv, worn_csv, throttle_steps, tmp_path, capsys

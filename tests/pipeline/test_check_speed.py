@@ -21,6 +21,7 @@ def expected_of_plans(plans, model, values):
     )
 
 
+@pytest.mark.slow
 def test_what_scripts_tell_together_is_what_each_shows_alone():
     prior = predictor_for(None, DEFAULT_VEHICLE)
     compiled = plans(["yaw_rate", "roll_pitch", "hover_rest", "tilt_throttle"], DEFAULT_VEHICLE, prior)
@@ -39,6 +40,7 @@ def test_what_scripts_tell_together_is_what_each_shows_alone():
     assert std["sigma_r"] == pytest.approx({e.name: e.std for e in each[0]}["sigma_r"], rel=1e-9), "of what they move"
 
 
+@pytest.mark.slow
 def test_flying_a_plan_in_coarser_steps_moves_no_expected_error(monkeypatch):
     prior = predictor_for(None, DEFAULT_VEHICLE)
     compiled = plans(["roll_pitch", "spot_check", "reversals"], DEFAULT_VEHICLE, prior)
@@ -56,6 +58,7 @@ def test_flying_a_plan_in_coarser_steps_moves_no_expected_error(monkeypatch):
         assert a.std == pytest.approx(b.std, rel=2e-3), a.name
 
 
+@pytest.mark.slow
 def test_nothing_heavy_is_loaded_that_check_does_not_use():
     code = "import flighttest.cli.main, flighttest.pipeline.planning.checking, sys, json; print(json.dumps(sorted(sys.modules)))"
     loaded = json.loads(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout)

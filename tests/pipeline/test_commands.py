@@ -46,6 +46,7 @@ def test_fit_finds_the_vehicle(fitted):
         assert found[name]["identifiable"]
 
 
+@pytest.mark.slow
 def test_import_makes_a_run_that_says_the_same_as_the_table(call, flight_csv, tmp_path):
     run = tmp_path / "run"
     code, out, _ = call("import", flight_csv, "-o", run, "--json")
@@ -165,6 +166,7 @@ def free_csv(synthetic, tmp_path_factory):
     return synthetic.write_csv(tmp_path_factory.mktemp("free") / "free.csv", seed=2, until_s=9.4)
 
 
+@pytest.mark.slow
 def test_a_program_is_reported_as_well_that_a_flight_was_fitted(call, model, flight_csv, tmp_path):
     rows = flight_csv.read_text().splitlines()
     (tmp_path / "flight.csv").write_text("\n".join(rows[:500]))
@@ -173,6 +175,7 @@ def test_a_program_is_reported_as_well_that_a_flight_was_fitted(call, model, fli
     assert json.loads(out)["careful"].startswith("flight was used in the fit")
 
 
+@pytest.mark.slow
 def test_a_model_that_predicts_worse_than_none_is_called_so(call, model, free_csv, tmp_path):
     """0.70 m/s after 1 s, where the last measurement was off by 0.38, was said to be smaller than with no drag, on a green page."""
     document = yaml.safe_load(model.read_text())
@@ -182,6 +185,7 @@ def test_a_model_that_predicts_worse_than_none_is_called_so(call, model, free_cs
     assert "worse than no model" in " ".join(call("validate", tmp_path / "weak.yaml", free_csv)[1].split())
 
 
+@pytest.mark.slow
 def test_validate_counts_the_responses_that_segment_counts(call, model, worn_csv):
     """Of 39 responses 24 lie between steps, and `validate` reckoned with 15."""
     every = json.loads(call("segment", worn_csv, "--json")[1])["segments"]
@@ -190,6 +194,7 @@ def test_validate_counts_the_responses_that_segment_counts(call, model, worn_csv
     assert "between steps" in left_out
 
 
+@pytest.mark.slow
 def test_steps_beside_a_free_flight_are_validated_too(call, model, free_csv, throttle_steps, worn_csv, tmp_path):
     alone = json.loads(call("validate", model, free_csv, "--json")[1])
     assert alone["careful"] == alone["another_vehicle"] == ""
@@ -206,6 +211,7 @@ def test_steps_beside_a_free_flight_are_validated_too(call, model, free_csv, thr
     assert "Prediction of steps" in page.read_text()
 
 
+@pytest.mark.slow
 def test_status_sees_worn_propellers_and_not_the_same_vehicle(call, model, flight_csv, worn_csv, tmp_path):
     code, out, _ = call("status", "--model", model, worn_csv, "--out", tmp_path, "-o", tmp_path / "status", "--json")
     assert code == 4
@@ -228,6 +234,7 @@ def test_status_sees_worn_propellers_and_not_the_same_vehicle(call, model, fligh
     assert json.loads(out)["reflights"] == []
 
 
+@pytest.mark.slow
 def test_the_scripts_status_writes_can_be_flown(call, model, worn_csv, tmp_path):
     call("status", "--model", model, worn_csv, "--out", tmp_path, "-o", tmp_path / "status")
     for script in Path(tmp_path / "status").glob("*.yaml"):
@@ -258,6 +265,7 @@ def test_missing_files_are_bad_input(call, argv, tmp_path, monkeypatch):
     assert "error:" in err
 
 
+@pytest.mark.slow
 def test_bad_fit_options_are_bad_input(call, flight_csv):
     for options in (
         ("--term", "nope"), ("--freeze", "alpha"), ("--tie", "d_y"), ("--freeze", "nope=1"), ("--freeze", "K=nan"),
@@ -269,6 +277,7 @@ def test_bad_fit_options_are_bad_input(call, flight_csv):
         assert "error:" in err
 
 
+@pytest.mark.slow
 def test_the_papers_one_delay_can_be_held(call, flight_csv):
     delays = ("T_d_attitude", "T_d_yaw_rate", "T_d_thrust", "T_d")
     code, out, _ = call("fit", flight_csv, "--freeze", "T_d=0.11", "--json")
@@ -289,6 +298,7 @@ def test_a_column_map_that_is_named_is_read_even_where_the_log_needs_none(call, 
         assert bad.name in err
 
 
+@pytest.mark.slow
 def test_a_misspelt_column_is_reported_by_every_command_that_reads_the_table(call, flight_csv, tmp_path):
     names, rows = flight_csv.read_text().split("\n", 1)
     path = tmp_path / "a.csv"
@@ -378,6 +388,7 @@ def test_a_program_hears_of_an_interrupt(call, monkeypatch, flight_csv):
     assert "stopped" in json.loads(out)["error"]["message"]
 
 
+@pytest.mark.slow
 def test_what_to_fly_takes_time_also_where_the_model_finds_no_space(call, model, tmp_path):
     data = yaml.safe_load(model.read_text())
     data["parameters"]["K"]["value"] *= 4.0  # nonsense, with which no throttle step of the script stays in the zone

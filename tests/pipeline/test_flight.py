@@ -116,6 +116,7 @@ def test_a_flight_leaves_a_whole_run_folder(call, fitted, tmp_path):
     assert again["used"] == 4
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_flight_again(call, script, tmp_path):
     """Over a real socket, whatever the host does meanwhile; another seed has other noise."""
     script.write_text(SHORT % 1)
@@ -132,6 +133,7 @@ def test_a_seed_gives_the_same_flight_again(call, script, tmp_path):
     assert not np.array_equal(r_a, r_c)
 
 
+@pytest.mark.slow
 def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     out_dir = tmp_path / "runs"
     seen = []
@@ -173,6 +175,7 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     assert json.loads(out)["verdict"].startswith("4 responses fitted")
 
 
+@pytest.mark.slow
 def test_a_campaign_that_a_flight_ended_early_is_resumed_with_all_its_scripts(script, tmp_path):
     """What was printed flew the script that was cut short, and nothing named those after it."""
     second = script.with_name("second.yaml")
@@ -238,6 +241,7 @@ def test_a_flight_that_a_low_battery_ended_exits_1(call, script, tmp_path, monke
     assert code == 1
 
 
+@pytest.mark.slow
 def test_a_flight_that_was_stopped_before_its_first_step_exits_1(script, tmp_path):
     class Stopper:
         stopped = False
@@ -311,6 +315,7 @@ def test_a_script_that_leaves_the_zone_is_not_flown(call, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 def test_before_take_off_the_vehicle_is_compared_with_the_model_in_use(call, fitted, script, tmp_path):
     out_dir = tmp_path / "runs"
     text = (fitted.run / "fit.yaml").read_text()
@@ -371,6 +376,7 @@ def test_what_another_vehicle_flew_is_not_gone_on_with(call, script, tmp_path):
         resuming.worth_resuming(run, [replace(plan, vehicle=replace(plan.vehicle, name="mine"))])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("only", ["fly", "fit"])
 def test_a_disk_that_is_full_at_the_end_is_the_headline(call, script, tmp_path, monkeypatch, only):
     finish = Recorder.finish
@@ -469,6 +475,7 @@ def test_the_next_flight_is_printed_with_its_vehicle(tmp_path):
     assert "flighttest run d/next.yaml --vehicle v.yaml" in repr(diagnosis_sections(data, ""))
 
 
+@pytest.mark.slow
 def test_a_speed_that_is_asked_for_is_kept(tmp_path):
     """In lock-step too: a flight could not be watched, or stop it by hand, at the pace of the host."""
     request = flying.FlightRequest(("thrust",), speed=4.0)

@@ -36,6 +36,7 @@ def test_a_recording_that_is_given_twice_is_reported():
     assert repeated([a, b]) == ""
 
 
+@pytest.mark.slow
 def test_fit_and_diagnosis_count_a_recording_once(monkeypatch, flight_csv):
     given = []
 

@@ -68,6 +68,7 @@ def test_where_no_zone_is_known_nothing_is_said(proposal, kept):
     assert held_against_zone(proposal, recorded(kept), None) is proposal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_heights", "speed_dash"])
 def test_a_maneuver_is_made_smaller_until_every_step_fits(name):
     vehicle = replace(DEFAULT_VEHICLE, zone=Zone(0.0, (-5.0, 5.0), (-5.0, 5.0), (1.0, 6.0), 1.0))
@@ -79,6 +80,7 @@ def test_a_maneuver_is_made_smaller_until_every_step_fits(name):
     assert compile_plan(parse_script(write_text(script)), vehicle, prior).refusals, "as it is it does not fit"
 
 
+@pytest.mark.slow
 def test_where_nothing_fits_the_smallest_zone_that_would_do_is_said(proposal):
     tiny = replace(DEFAULT_VEHICLE, name="tiny", zone=Zone(0.0, (-1.2, 1.2), (-1.2, 1.2), (0.5, 3.0), 1.0))
     assert flyable_in([], tiny)(proposal.next_script, Model(), {}) is None

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from flighttest.pipeline.identification.fitting import fit
 
@@ -33,6 +34,7 @@ def test_a_fit_that_determines_nothing_gives_the_reasons(tmp_path):
     assert "flighttest run roll_pitch" in " ".join(bullets.items)
 
 
+@pytest.mark.slow
 def test_a_hover_shows_the_gain_that_carries_the_vehicle_and_nothing_else(tmp_path):
     """It was not identifiable by output error, beside a constant force that nothing measures."""
     fitted = fit([hover(tmp_path, 20.0)]).value
@@ -42,5 +44,6 @@ def test_a_hover_shows_the_gain_that_carries_the_vehicle_and_nothing_else(tmp_pa
     assert low < 9.80665 / 0.2 < high
 
 
+@pytest.mark.slow
 def test_a_fit_that_determines_something_gives_no_such_list(flight_csv):
     assert all(s.id != "why" for s in fit([flight_csv]).document.sections)

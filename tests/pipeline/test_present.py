@@ -27,6 +27,7 @@ def seen():
     return found, sent
 
 
+@pytest.mark.slow
 def test_it_asks_and_does_nothing_else(seen):
     found, sent = seen
     assert found.firmware.startswith("ArduCopter")
@@ -61,6 +62,7 @@ def status(seen, monkeypatch, capsys, tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_a_changed_parameter_of_the_vehicle_makes_the_model_stale(status):
     code, found = status()
     assert (code, found["verdict"]) == (0, "CURRENT")

@@ -18,6 +18,7 @@ def shown(flight_csv, tmp_path_factory):
     return show(flight_csv, page), page
 
 
+@pytest.mark.slow
 def test_the_page_says_what_flight_it_is_and_what_it_can_tell(shown):
     result, page = shown
     assert "A flight of" in result.document.verdict
@@ -145,6 +146,7 @@ def excited_and_determined(log, page, columns=None):
     return {o["parameter"]: o for o in outlook}, {n for n, e in estimates.items() if e.identifiable}
 
 
+@pytest.mark.slow
 def test_two_responses_excite_no_parameter_and_what_is_not_excited_no_fit_determines(repository, tmp_path):
     """One step of roll and one of pitch in each direction: as a fit does, the page asks for three responses."""
     outlook, known = excited_and_determined(repository / "tests" / "data" / "sitl.BIN.xz", tmp_path / "page.html")
@@ -153,6 +155,7 @@ def test_two_responses_excite_no_parameter_and_what_is_not_excited_no_fit_determ
     assert known <= {n for n, o in outlook.items() if o["excited"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "columns"),
     [

@@ -11,6 +11,7 @@ from flighttest.pipeline.recordings.sources import Reading, import_log, open_rec
 from flighttest.pipeline.results import Status
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_bit_for_bit(flight_csv, worn_csv):
     alone = open_recordings([flight_csv, worn_csv])
     together = open_recordings([flight_csv, worn_csv], Reading(workers=2))
@@ -31,12 +32,14 @@ def test_a_cluster_that_is_not_there_is_said(flight_csv):
         open_recordings([flight_csv], Reading(scheduler="tcp://127.0.0.1:1"))
 
 
+@pytest.mark.slow
 def test_a_cross_check_that_diverges_does_not_lose_the_fit_of_a_recorded_flight(shared_data):
     found = fit([shared_data / "arducopter_logs" / "sitl_4.7dev_steps.BIN"])
     assert found.status is Status.DONE
     assert found.value.values["omega_phi"] == pytest.approx(11.9, rel=0.3)
 
 
+@pytest.mark.slow
 def test_import_and_segment_account_for_every_second(flight_csv, tmp_path):
     for result in (import_log(flight_csv, tmp_path / "run"), segment([tmp_path / "run"])):
         rows = result.data["time"]

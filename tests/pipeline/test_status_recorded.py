@@ -8,6 +8,7 @@ from flighttest.pipeline.validity.status import status
 from flighttest.validity.model import ValidityVerdict
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("log", "vehicle", "tested"),
     [

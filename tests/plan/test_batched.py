@@ -64,6 +64,7 @@ def test_what_else_is_flown_changes_nothing():
     np.testing.assert_allclose(among[: len(some), :steps], alone[:, :steps], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zone", [{}, {"z_m": (0.3, 7.0), "x_m": (-6.0, 7.0), "y_m": (-5.0, 6.0), "margin_m": 1.0}])
 def test_plans_and_refusals_are_those_of_rehearsing_everything_from_its_start(zone):
     from dataclasses import replace

@@ -61,6 +61,7 @@ def test_of_the_papers_own_equations_nothing_is_left():
     assert max(float(np.sqrt(np.mean(x**2))) / NOISE.std[c] for (c, _), x in left.places().items()) < 0.1
 
 
+@pytest.mark.slow
 def test_noise_is_what_was_added():
     noise = oracle.oracle_noise(flight(noise=1.0), flight(), 22.2)
     # Of white noise at 100 Hz every second sample is compared; what locals and parameters take is small.
@@ -68,6 +69,7 @@ def test_noise_is_what_was_added():
     assert noise.std["v_z_m_s"] == pytest.approx(0.02, rel=0.15)
 
 
+@pytest.mark.slow
 def test_an_effect_counts_by_what_no_base_parameter_copies_and_is_distinguished_from_another():
     quiet = oracle.left(flight(), NOISE, 22.2)
     lift, twice, wind = (
@@ -81,6 +83,7 @@ def test_an_effect_counts_by_what_no_base_parameter_copies_and_is_distinguished_
     assert oracle.cosine(lift, wind, NOISE) < 0.8
 
 
+@pytest.mark.slow
 def test_another_size_of_a_base_parameter_is_no_effect(monkeypatch):
     quiet = oracle.left(flight(), NOISE, 22.2)
     monkeypatch.setitem(THETA, "K", 60.0)
@@ -110,6 +113,7 @@ def tilt(k, third_pole_s=0.0):
     return Segment(f"tilt{k}", "run", kind, {"amplitude_rad": size}, 1, 0.0, t, y, u)
 
 
+@pytest.mark.slow
 def test_loops_of_the_second_order_leave_nothing_and_a_third_pole_does():
     noise = OracleNoise({**oracle.FIRST, "roll_rad": 1e-3, "pitch_rad": 1e-3}, oracle.FIRST_DISTURBANCE)
     sizes = {}
@@ -120,6 +124,7 @@ def test_loops_of_the_second_order_leave_nothing_and_a_third_pole_does():
     assert sizes[0.05] > 1.0 > 5 * sizes[0.0]
 
 
+@pytest.mark.slow
 def test_loops_follow_the_autopilots_own_target_where_it_was_recorded():
     """The same answers to a command that is twice as large: what was recorded behind the shaping is what they follow."""
     noise = OracleNoise({**oracle.FIRST, "roll_rad": 1e-3, "pitch_rad": 1e-3}, oracle.FIRST_DISTURBANCE)
@@ -137,6 +142,7 @@ def test_loops_follow_the_autopilots_own_target_where_it_was_recorded():
     assert doubled == pytest.approx(found, rel=0.02, abs=0.01)
 
 
+@pytest.mark.slow
 def test_loops_follow_the_reference_where_it_explains_them_better_than_the_target_as_sampled():
     """A target recorded 0.1 s late asks for a delay below none: what that leaves was taken for 40 noise floors of a hidden effect."""
     noise = OracleNoise({**oracle.FIRST, "roll_rad": 1e-3, "pitch_rad": 1e-3}, oracle.FIRST_DISTURBANCE)
@@ -152,6 +158,7 @@ def test_loops_follow_the_reference_where_it_explains_them_better_than_the_targe
     assert sampled == pytest.approx(found)
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_is_measured_by_quiet_twins_with_and_without_it(monkeypatch):
     """Of two effects each has its own twin; the size that the tool claims stands beside the true one."""
     case = replace(draw(5, 3), hide={"translational_lift": {"k_lift": 0.02}, "steady_wind": {"w_north": 1.0}})

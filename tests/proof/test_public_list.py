@@ -51,6 +51,7 @@ def test_an_imu_off_the_centre_of_mass_is_seen_alike_by_two_axes_in_two_parts_of
     np.testing.assert_allclose(found, arm_m, atol=within)
 
 
+@pytest.mark.slow
 def test_the_fans_blow_along_the_axis_and_towards_the_side_that_is_declared(repository, shared_data):
     """A vehicle that keeps its place on the average leans its thrust against the air: without any estimator."""
     listed = read_sets(repository / "examples" / "recordings" / "public.yaml")

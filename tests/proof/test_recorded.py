@@ -207,6 +207,7 @@ def test_recordings_are_of_the_generator_that_takes_them(tmp_path):
         run_trials(ProofRequest(1, 1, generator="recorded", data=tmp_path))
 
 
+@pytest.mark.slow
 def test_the_public_list_is_read_and_a_real_hop_is_diagnosed_blind(repository, shared_data):
     listed = sets.read_sets(repository / "examples" / "recordings" / "public.yaml")
     assert all(one.found(shared_data) for one in listed)
@@ -264,6 +265,7 @@ def test_an_effect_that_would_have_made_it_another_flight_is_not_added(departure
     assert bool(trial.sized_effects(case, flown)) is taken
 
 
+@pytest.mark.slow
 def test_the_size_of_an_effect_is_of_what_it_changes_and_not_of_other_windows_or_another_optimum(
     shared_data, monkeypatch
 ):

@@ -50,6 +50,7 @@ def frequencies(theta: np.ndarray) -> list[float]:
     return [float(theta[0]), float(theta[2])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gust_rad", [0.02, 0.1])
 def test_answers_to_gusts_are_not_taken_for_their_causes(gust_rad):
     found = oracle.steered_loops(held_position(1, gust_rad))["roll_pitch"]
@@ -58,6 +59,7 @@ def test_answers_to_gusts_are_not_taken_for_their_causes(gust_rad):
     assert found[4] == pytest.approx(DELAY_S, abs=0.006)
 
 
+@pytest.mark.slow
 def test_a_fit_of_what_the_loops_leave_takes_them_so():
     """What the innovations are for: the same flight fitted by what the loops leave has slow ones."""
     left = oracle.left(
@@ -68,6 +70,7 @@ def test_a_fit_of_what_the_loops_leave_takes_them_so():
     )
 
 
+@pytest.mark.slow
 def test_loops_of_another_form_and_short_flights_are_left_out():
     """Attitudes that are their references at once end at a bound; a single window has too few samples for the regression."""
     flown = held_position(2, 0.02)

@@ -135,6 +135,7 @@ def test_recordings_that_cannot_give_noise_are_refused_with_what_they_lack(liste
         run_trials(ProofRequest(1, 1, "sitl", recordings=listed[0], data=listed[1]))
 
 
+@pytest.mark.slow
 def test_a_flight_gets_the_gusts_of_the_recording_and_their_velocity(windy_blocks, monkeypatch):
     blocks = windy_blocks
     assert len(blocks) > 15
@@ -207,6 +208,7 @@ def test_a_vehicle_that_the_air_tilts_is_pushed_by_its_thrust_and_answers_only_b
     )
 
 
+@pytest.mark.slow
 def test_what_hits_the_ground_is_no_noise(listed):
     crashed = windy()
     crashed[-100:, 1 + NAMES.index("f_z_m_s2")] += 20.0 * np.sign(np.sin(40.0 * crashed[-100:, 0]))
@@ -217,6 +219,7 @@ def test_what_hits_the_ground_is_no_noise(listed):
     assert max(float(np.abs(b[:, 2]).max()) for b in blocks) < 2.0
 
 
+@pytest.mark.slow
 def test_a_trial_flies_quietly_and_is_diagnosed_with_the_noise_of_its_source(listed, windy_blocks, monkeypatch):
     (case,) = [
         c for c in transplanted_noise.with_real_noise(cases_of(5, 8), read_sets(listed[0]), listed[1]) if c.noise_from
@@ -262,6 +265,7 @@ def test_the_scoreboard_counts_real_noise_apart(tmp_path, listed, monkeypatch):
     assert "real recordings" not in markdown(plain, 5)
 
 
+@pytest.mark.slow
 def test_public_recordings_give_blocks_of_their_own_noise(repository, shared_data):
     sets = read_sets(repository / "examples" / "recordings" / "public.yaml")
     cases = transplanted_noise.with_real_noise(cases_of(1, 300), sets, shared_data)

@@ -161,6 +161,7 @@ def test_pairs_of_winds_are_counted_among_all_pairs_and_apart():
     assert again.values == outcomes[0].values
 
 
+@pytest.mark.slow
 def test_a_flight_with_the_fans_and_one_without_are_distinguished_blind(repository, shared_data, monkeypatch):
     seen = []
     asked = trial.run_diagnosis

@@ -263,6 +263,7 @@ def test_no_structure_gives_a_traceback(document):
     outcome(yaml.safe_dump(document))
 
 
+@pytest.mark.slow
 @given(st.integers(0, len(FORMATS) - 1), st.text(max_size=3), st.integers(0, 6))
 @settings(max_examples=200, deadline=None, derandomize=True)
 def test_no_slip_of_the_pen_gives_a_traceback(at, typed, removed):

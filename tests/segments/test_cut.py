@@ -298,6 +298,7 @@ def test_heading_and_time_in_the_air_are_kept(campaign):
     assert segment.heading_rad == pytest.approx(3.0 - 1.5, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_real_campaign_is_cut_alike_from_both_of_its_logs(shared_data):
     from flighttest.logs import import_log
 

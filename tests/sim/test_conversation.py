@@ -80,6 +80,7 @@ def with_ours(lines: list[str], ours: list[str], theirs: list[str]) -> list[str]
     raise AssertionError(f"{theirs} was not recorded")
 
 
+@pytest.mark.slow
 def test_the_same_questions_were_asked(built_in, real):
     assert list(built_in) == list(real)
     assert real["unasked"] == ["HEARTBEAT"]

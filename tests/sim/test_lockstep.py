@@ -88,6 +88,7 @@ def test_time_stands_still_without_grants_and_runs_on_when_the_client_dies():
         assert time.monotonic() - start < 2.0
 
 
+@pytest.mark.slow
 def test_free_running_keeps_the_speed_and_waits_for_its_first_client():
     with start_simulator(SimOptions(speed=20.0), in_thread=True) as simulation:
         time.sleep(0.5)
@@ -158,6 +159,7 @@ def test_what_is_typed_wrong_is_said():
         SimOptions(airframe="blimp")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_waiting_ground_station_is_sent_to():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
         ground.bind(("127.0.0.1", 0))

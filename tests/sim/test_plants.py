@@ -172,6 +172,7 @@ def test_every_effect_of_the_rotor_changes_what_is_measured(name, clean_tours):
     assert change.max() > 0.02
 
 
+@pytest.mark.slow
 def test_every_catalogue_term_changes_the_paper_vehicle(clean_tours):
     from flighttest.physics.catalogue import catalogue
 

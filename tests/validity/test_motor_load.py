@@ -34,6 +34,7 @@ def flights(rng, count, damage=0.0, spread=0.02):
     return found
 
 
+@pytest.mark.slow
 def test_false_alarms_of_undamaged_flights_are_as_stated():
     rng = np.random.default_rng(3)
     tests = [motor_load_test(motor_load(flights(rng, 5)), motor_load(flights(rng, 1)), LEVEL) for _ in range(1500)]
@@ -105,6 +106,7 @@ def test_what_a_model_keeps_of_its_motors_is_read_again_and_a_damaged_block_is_n
     assert stored_motors(SimpleNamespace(fit_quality={})) is None
 
 
+@pytest.mark.slow
 def test_two_millimetres_of_a_recorded_propeller_are_seen_and_no_undamaged_flight(shared_data):
     """A Crazyflie (CrazyPAD): both ends of one propeller cut; the commands of its motors are recorded."""
     folder = shared_data / "propeller_damage" / "motor_data"

@@ -33,6 +33,7 @@ def changed(**factors):
     return np.array([factors.get(n, 1.0) for n in NAMES])
 
 
+@pytest.mark.slow
 def test_false_alarms_per_campaign_are_as_stated():
     rng = np.random.default_rng(1)
     alarms = sum(any(t.alarm for t in compare.subset_tests(campaign(rng), campaign(rng))) for _ in range(1500))
@@ -164,6 +165,7 @@ def test_thrust_is_compared_at_the_voltage_flown():
     assert not test.alarm, "the model does not determine what its throttle gives at that voltage"
 
 
+@pytest.mark.slow
 def test_few_responses_raise_no_more_false_alarms():
     rng = np.random.default_rng(16)
     alarms = 0
