@@ -43,7 +43,8 @@ def sentence_of(
     names = ", ".join(_name(f) for f in findings)
     if verdict is Verdict.EXPLAINED:
         gone = 100 * max(0.0, 1 - share)
-        return f"The base model lacks: {names}. Adding it removes {gone:.0f} % of the {error}.{more}"
+        it = "it" if len(findings) == 1 else "them"
+        return f"The base model lacks: {names}. Adding {it} removes {gone:.0f} % of the {error}.{more}"
     if verdict is Verdict.PARTLY:
         return f"The base model lacks: {names}. {100 * share:.0f} % of the {error} remains unexplained.{more}"
     if verdict is Verdict.NOTHING_MISSING:

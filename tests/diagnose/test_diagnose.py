@@ -142,6 +142,7 @@ def test_two_effects_are_both_named():
         fly(steps, seed=2, asymmetry=0.6, curve=0.4), only=("thrust_asymmetry", "throttle_curve", "ground_effect")
     )
     assert set(names(found)) == {"thrust_asymmetry", "throttle_curve"}
+    assert "Adding them removes" in found.sentence
 
 
 @pytest.mark.slow
