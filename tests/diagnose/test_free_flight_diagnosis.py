@@ -12,13 +12,13 @@ from flighttest.diagnose import Verdict, diagnose
 from flighttest.diagnose.answer import SearchSupport
 from flighttest.diagnose.conclusion import sentence_of
 from flighttest.diagnose.free_flight import equation_search
+from flighttest.diagnose.free_flight.effect_size import EffectSize
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.estimates import null_inside_interval
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
 from flighttest.diagnose.free_flight.reported import candidates_of
 from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS
-from flighttest.estimation.drift import DRIFT
 from flighttest.estimation.responses import exogenous
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, in_still_air
@@ -32,6 +32,7 @@ from tests.identify.test_free_flight import DRAG, GAIN, flight
 POOL = tuple(catalogue().values())
 TILTS = tuple(catalogue()[t] for t in ("steady_wind", "attitude_offset", "thrust_scaled_drag"))
 ALONE = Model(attitude_loops=False)
+SMALL = "it is small"
 
 
 @cache
@@ -124,13 +125,13 @@ def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monke
 @pytest.mark.slow
 def test_what_instruments_drift_by_is_estimated_beside_the_rest_and_has_no_name(monkeypatch):
     """Left in the noise, an accelerometer's lever arm of 0.049 m/s^2 concealed a load of 6.5 noise floors."""
-    monkeypatch.setattr(equation_search, "DRIFT", dict.fromkeys(DRIFT, 10.0))
+    monkeypatch.setattr(EffectSize, "too_small", lambda _: SMALL)
     found = diagnose(tilted(), ALONE, only=["attitude_offset", "thrust_scaled_drag"])
     assert not found.findings
     assert found.model.terms == (*ALONE.terms, "attitude_offset")
     assert abs(found.values["offset_pitch"] - 0.04) < 0.01
     (row,) = [c for c in found.candidates if c["term"] == "attitude_offset"]
-    assert "below what estimates drift by" in row["why"]
+    assert row["why"] == SMALL
     assert "attitude_offset" not in {*found.not_needed, *(u.term for u in found.untestable)}
     assert any("attitude_offset is in the model and no finding" in note for note in found.notes)
 
@@ -138,26 +139,25 @@ def test_what_instruments_drift_by_is_estimated_beside_the_rest_and_has_no_name(
 @pytest.mark.slow
 def test_a_force_below_what_instruments_drift_by_is_left_out(monkeypatch):
     """A third pole of 1.8 mrad beside a rate feedforward made the time of that 0.24 +- 0.06 s from 0.11 +- 0.01 s."""
-    monkeypatch.setattr(equation_search, "DRIFT", dict.fromkeys(DRIFT, 10.0))
+    monkeypatch.setattr(EffectSize, "too_small", lambda _: SMALL)
     pool = [replace(t, family="aerodynamics") for t in TILTS if t.id != "steady_wind"]
     found = find_terms(stretches(tilted()), ALONE, pool)
     assert found.final.model.terms == ALONE.terms
-    assert "below what estimates drift by" in found.refused["attitude_offset"][1]
+    assert found.refused["attitude_offset"][1] == SMALL
 
 
 def test_what_is_no_longer_small_beside_terms_that_joined_later_is_named(monkeypatch):
-    sizes = iter([{"f_x_m_s2": 0.9 * DRIFT["f_x_m_s2"]}])
-    usual = {"f_x_m_s2": 1.1 * DRIFT["f_x_m_s2"]}
-    monkeypatch.setattr(equation_search, "effect_sizes", lambda *_: next(sizes, usual))
+    reasons = iter([SMALL])
+    monkeypatch.setattr(EffectSize, "too_small", lambda _: next(reasons, ""))
     found = find_terms(stretches(tilted()), ALONE, TILTS)
     assert list(found.named) == ["attitude_offset"]
-    assert found.named["attitude_offset"].size == usual
+    assert found.named["attitude_offset"].size["f_x_m_s2"] > 0.1
     assert not found.small
 
 
 def test_what_is_small_and_not_needed_in_the_end_leaves_the_model(monkeypatch):
     reasons = iter(["", "it may be nothing"])
-    monkeypatch.setattr(equation_search, "DRIFT", dict.fromkeys(DRIFT, 10.0))
+    monkeypatch.setattr(EffectSize, "too_small", lambda _: SMALL)
     monkeypatch.setattr(equation_search, "null_inside_interval", lambda *_: next(reasons))
     found = find_terms(stretches(tilted()), ALONE, [catalogue()["attitude_offset"]])
     assert found.final.model.terms == ALONE.terms

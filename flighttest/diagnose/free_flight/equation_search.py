@@ -6,8 +6,8 @@ one with the largest quasi-likelihood: log likelihood of the innovations divided
 shows (QAIC: Burnham and Anderson 2002, section 2.5), less half the logarithm of the number of blocks per parameter (Schwarz 1978). A
 term is named when its coefficients are significant by the robust covariance as well, at a level divided by the number of terms
 (Bonferroni), its estimates are admissible, of what was not used no more channels are surely predicted worse with it than better (the
-noise of each model is estimated with it, and a worse model of redder noise can be the likelier one), and its effect is larger than what
-estimates drift by. A smaller one has no name; of an instrument it is estimated beside the others: left out, it is in the noise, in which
+noise of each model is estimated with it, and a worse model of redder noise can be the likelier one), and its effect is large enough
+(`effect_size`). A smaller one has no name; of an instrument it is estimated beside the others: left out, it is in the noise, in which
 a load of 6.5 noise floors was not seen beside an accelerometer's lever arm of 0.049 m/s^2. Wind is looked for first, against what looks
 like it at one heading (`identify.winds`).
 """
@@ -20,8 +20,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from flighttest.channels import CHANNELS
 from flighttest.diagnose.answer import SearchSupport
+from flighttest.diagnose.free_flight.effect_size import EffectSize
 from flighttest.diagnose.free_flight.equation_screen import Screened, has_unknown_initial_state, screen, settings
 from flighttest.diagnose.free_flight.estimates import (
     EDGE_OF_INTERVAL,
@@ -36,8 +36,6 @@ from flighttest.diagnose.selection.candidates import OF_INSTRUMENTS, acts_in
 from flighttest.diagnose.selection.comparison import PROBABILITY, level_of, log_odds_asked, probability_of
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.errors import FitError
-from flighttest.estimation.drift import DRIFT
-from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.identify.free_flight import FreeFlight
 from flighttest.identify.free_flight.estimate import start_of
@@ -79,7 +77,7 @@ class NamedByEquations:
 @dataclass
 class EquationSearch:
     """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
-    anew and not named, with the reason; small: those of them that are in the model, of instruments and below what these drift by; screened:
+    anew and not named, with the reason; small: those of them that are in the model, of instruments, with too small an effect; screened:
     the last score tests; winds: of each flight, empty where none is in the model; turned: whether headings differ enough to part a wind
     from an attitude offset; complete: False where an interrupt ended the search."""
 
@@ -152,18 +150,6 @@ def find_terms(
     return found
 
 
-def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str, float]:
-    """Root mean square per channel of what the residuals of two models differ by, in the channel's unit."""
-    squares: dict[str, list[float]] = {}
-    for a, b in zip(before, after, strict=True):
-        n = min(a.residual.size, b.residual.size)
-        difference = a.residual[:n] - b.residual[:n]
-        total = squares.setdefault(a.channel, [0.0, 0.0])
-        total[0] += float(difference @ difference)
-        total[1] += n
-    return {c: float(np.sqrt(total / max(count, 1.0))) for c, (total, count) in squares.items()}
-
-
 def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, asked: ModelEstimates) -> float:
     """p-value of a term: of its linear coefficients (`ModelEstimates.presence`); where it has none, of the quasi-likelihood ratio times its
     settings."""
@@ -217,17 +203,17 @@ def _wind_first(found: EquationSearch, asked: ModelEstimates, known: Mapping[str
     p_value = chi2_beyond(2.0 * gained, len(coefficients_of(tried, known[WIND_TERM])))
     streams = asked.streams(tried)
     found.final = tried
-    found.named[WIND_TERM] = NamedByEquations(WIND_TERM, nats, p_value, effect_sizes(asked.streams(calm), streams))
+    found.named[WIND_TERM] = NamedByEquations(
+        WIND_TERM, nats, p_value, EffectSize.of(asked.streams(calm), streams).sizes
+    )
     for one in beside:
         p = asked.presence(tried, known[one])
         if p >= level_of(len(known)):
             continue
         smaller = asked.estimate(tried.model.without_terms(one), _shared(tried.values))
-        nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
-        if not _below_drift(size) and not _against(
-            _Trial(known[one], smaller, tried, nats, p, size), asked, len(known)
-        ):
-            found.named[one] = NamedByEquations(one, nats, p, size)
+        nats, effect = _nats(tried, smaller), EffectSize.of(asked.streams(smaller), streams)
+        if not effect.too_small() and not _against(_Trial(known[one], smaller, tried, nats, p), asked, len(known)):
+            found.named[one] = NamedByEquations(one, nats, p, effect.sizes)
 
 
 def _shared(values: Mapping[str, float]) -> dict[str, float]:
@@ -287,15 +273,15 @@ def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimat
     before = asked.streams(now) if tried else []
     for k, (nats, s, one) in enumerate(tried):
         term = known[s.term]
-        size, p_value = effect_sizes(before, asked.streams(one)), significance(one, now, term, asked)
+        effect, p_value = EffectSize.of(before, asked.streams(one)), significance(one, now, term, asked)
         # Alone it takes up whatever tilts the vehicle: a wind is named beside what looks like it (`_wind_first`), or not at all.
-        trial = _Trial(term, now, one, nats, p_value, size)
+        trial = _Trial(term, now, one, nats, p_value)
         why = NOT_BESIDE if s.term == WIND_TERM else _against(trial, asked, len(known))
         if why:
             if s.term != WIND_TERM or WIND_TERM not in found.refused:  # what `_wind_first` found says more
                 found.refused[s.term] = (nats, why)
             continue
-        if why := _below_drift(size):
+        if why := effect.too_small():
             found.refused[s.term] = (nats, why)
             if term.family not in OF_INSTRUMENTS:
                 continue
@@ -306,7 +292,7 @@ def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimat
             r.term for n, r, _ in tried if r is not s and nats - n < CHANCE_NATS and (n <= nats or r.term == WIND_TERM)
         )
         found.final = one
-        found.named[s.term] = NamedByEquations(s.term, nats, p_value, size, rivals)
+        found.named[s.term] = NamedByEquations(s.term, nats, p_value, effect.sizes, rivals)
         found.refused.pop(s.term, None)
         for n, r, _ in tried[k + 1 :]:
             found.refused.setdefault(r.term, (n, f"{s.term} predicts better by {nats - n:.1f} nats"))
@@ -316,14 +302,13 @@ def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimat
 
 @dataclass(frozen=True)
 class _Trial:
-    """A term that `larger` has and `smaller` has not. nats, p_value, size: as of `NamedByEquations`."""
+    """A term that `larger` has and `smaller` has not. nats, p_value: as of `NamedByEquations`."""
 
     term: Term
     smaller: FreeFlight
     larger: FreeFlight
     nats: float
     p_value: float
-    size: Mapping[str, float]
 
 
 def _against(trial: _Trial, asked: ModelEstimates, candidates: int) -> str:
@@ -344,23 +329,15 @@ def _against(trial: _Trial, asked: ModelEstimates, candidates: int) -> str:
     return outside_prior(trial.term, estimates, least) or against_larger(held)
 
 
-def _below_drift(size: Mapping[str, float]) -> str:
-    """Why a term that joins the model has no name; empty where it has."""
-    if any(value >= DRIFT.get(c, 0.0) for c, value in size.items()):
-        return ""
-    channel, value = max(size.items(), key=lambda kv: kv[1])
-    return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
-
-
 def _ask_small_ones_again(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> None:
-    """Of terms that joined without a name, beside those that joined later: name what is larger by now than estimates drift by, and leave
+    """Of terms that joined without a name, beside those that joined later: name what is large enough by now, and leave
     out what is not needed."""
     for name in list(found.small):
         smaller = asked.estimate(found.final.model.without_terms(name), _shared(found.final.values))
-        nats, size = _nats(found.final, smaller), effect_sizes(asked.streams(smaller), asked.streams(found.final))
+        nats, effect = _nats(found.final, smaller), EffectSize.of(asked.streams(smaller), asked.streams(found.final))
         p_value = significance(found.final, smaller, known[name], asked)
-        why = _against(_Trial(known[name], smaller, found.final, nats, p_value, size), asked, len(known))
-        if not why and (small := _below_drift(size)):
+        why = _against(_Trial(known[name], smaller, found.final, nats, p_value), asked, len(known))
+        if not why and (small := effect.too_small()):
             found.refused[name] = nats, small
             continue
         found.small.remove(name)
@@ -369,7 +346,7 @@ def _ask_small_ones_again(found: EquationSearch, asked: ModelEstimates, known: M
             found.refused[name] = nats, f"beside the terms that joined later: {why}"
         else:
             del found.refused[name]
-            found.named[name] = NamedByEquations(name, nats, p_value, size)
+            found.named[name] = NamedByEquations(name, nats, p_value, effect.sizes)
 
 
 def _drop_what_left(found: EquationSearch, asked: ModelEstimates) -> None:
