@@ -92,7 +92,7 @@ def with_owner(term: Term, sentence: str) -> str:
     """A sentence about a term, which begins with whose the term is where it is no physics of the vehicle."""
     if term.family not in ("autopilot", "sensor", "link"):
         return sentence
-    title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
+    title = term.title if term.title[1:2].isupper() else term.title[:1].lower() + term.title[1:]
     return f"This is your {term.family} ({title}): {sentence}"
 
 

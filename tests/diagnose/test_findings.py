@@ -7,7 +7,7 @@ import pytest
 
 from flighttest.diagnose.answer import TOGETHER, PartAnswer, error_left
 from flighttest.diagnose.conclusion import predicted_worse, verdict_of
-from flighttest.diagnose.findings import parameter_table, share_gained
+from flighttest.diagnose.findings import parameter_table, share_gained, with_owner
 from flighttest.diagnose.model import EXPLAINED_SHARE, Verdict
 from flighttest.diagnose.output_error.reported import undetermined_sizes
 from flighttest.diagnose.records import ABOVE_FLOOR, WITH_GUSTS, HeldOutRow
@@ -131,3 +131,15 @@ def test_what_is_explained_in_one_channel_makes_up_for_nothing_in_another(stays,
     assert unexplained is (stays > EXPLAINED_SHARE)
     verdict = verdict_of(named=True, located=True, unexplained=unexplained)
     assert verdict is (Verdict.PARTLY if unexplained else Verdict.EXPLAINED)
+
+
+@pytest.mark.parametrize(
+    ("term", "begins"),
+    [
+        ("attitude_extra_pole", "This is your autopilot (a third pole in the attitude loop): it lags"),
+        ("imu_lever_arm", "This is your sensor (IMU away from the centre of mass): it lags"),
+        ("quadratic_drag", "it lags"),
+    ],
+)
+def test_a_sentence_begins_with_whose_the_term_is_where_it_is_no_physics(term, begins):
+    assert with_owner(catalogue()[term], "it lags") == begins
