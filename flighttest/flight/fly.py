@@ -380,6 +380,8 @@ class _Flight:
                 left = self._changes.pending
                 self.notes.append(str(error))
         for text in self.session.port.left_out():
+            for text in self._changes.left_alone:
+                self._announce(text)
             self._note(text)
         left |= self._unrestored
         if left:

@@ -12,7 +12,7 @@ import pytest
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightResult
 from flighttest.flight.preparation.changes import SETS, LeftParameter, ParameterChanges, still_left
-from flighttest.flight.preparation.preflight import THRUST_AS_THRUST
+from flighttest.flight.preparation.preflight import THRUST_AS_THRUST, figure
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
@@ -23,7 +23,7 @@ from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 GUID_OPTIONS_LEFT = {"GUID_OPTIONS": LeftParameter(0.0, float(THRUST_AS_THRUST))}
 
 
-def fly_while(run_dir: Path, name: str, value: float) -> tuple[FaultyLink, FlightResult]:
+def fly_while(run_dir: Path, name: str, value: float, **settings: object) -> tuple[FaultyLink, FlightResult]:
     """A flight of two steps in whose first one somebody sets a parameter."""
     link = FaultyLink(options())
     seen: list[float] = []
@@ -35,7 +35,7 @@ def fly_while(run_dir: Path, name: str, value: float) -> tuple[FaultyLink, Fligh
 
     link.hook = hook
     plan = make_plan(make_leg("roll+0.30"), make_leg("roll+0.31"))
-    result = fly(plan, "sim", run_dir, transport=link)
+    result = fly(plan, "sim", run_dir, transport=link, **settings)
     assert seen
     return link, result
 
@@ -49,6 +49,23 @@ def test_a_flight_whose_throttle_would_mean_something_else_lands(run_dir: Path) 
     assert "GUID_OPTIONS was changed" in aborted.label
     assert link.sim.vehicle.mode == CopterMode.LAND
     assert not link.sim.vehicle.armed
+
+
+@pytest.mark.parametrize(("name", "chosen", "given"), [("GUID_TIMEOUT", 1.0, 0.2), ("LOG_BITMASK", 980990.0, 983039.0)])
+def test_what_a_pilot_chose_during_the_flight_is_not_set_back(
+    name: str, chosen: float, given: float, run_dir: Path
+) -> None:
+    """The value of before the flight was written over the pilot's, without a word; the alarm did not name the parameter."""
+    alarms: list[str] = []
+    link, result = fly_while(run_dir, name, chosen, on_progress=lambda p: alarms.append(p.alarm))
+    changed = f"{name} was changed from {figure(given)} to {figure(chosen)}"
+    assert any(changed in note for note in result.notes)
+    assert link.sim.vehicle.store[name] == chosen
+    assert any(note.startswith(f"{name} is {figure(chosen)}, set by somebody else") for note in result.notes)
+    assert result.parameters_left == {}
+    assert link.sim.vehicle.store["GUID_OPTIONS"] == 0.0, "what was not changed by others is restored"
+    landing = [text for text in alarms if text.startswith("landing: ")]
+    assert (f"{name} was changed" in "".join(landing)) == (name == "GUID_TIMEOUT")
 
 
 def test_another_parameter_is_reported_and_the_flight_goes_on(run_dir: Path) -> None:

@@ -83,6 +83,8 @@ class Scheduler:
         """An alarm where it was neither planned nor asked for by the operator."""
         if outcome not in (FlightOutcome.COMPLETED, FlightOutcome.OPERATOR_STOP):
             last = self.notes[-1:] if outcome is FlightOutcome.CLIMB_ENDED else []
+            if outcome is FlightOutcome.SET_UP_ANEW:
+                last = self.control.external_changes.vital[:1]
             self.control.alarm("; ".join([f"landing: {outcome.value}", *last]))
 
     # -- up and down ---------------------------------------------------------------------------------------------------------

@@ -126,6 +126,7 @@ class ParameterChanges:
         self._hardware = hardware
         self._before: dict[str, LeftParameter] = dict(inherited)
         self.unconfirmed: set[str] = set()  # sent to be put back, and not confirmed
+        self.left_alone: list[str] = []  # a sentence for each that somebody else gave another value meanwhile
 
     def apply(
         self,
@@ -163,10 +164,10 @@ class ParameterChanges:
         return changed_values(self._before)
 
     def restore(self, may: Callable[[], bool]) -> dict[str, float]:
-        """Put everything back, verified; what could not be, with the value it should have, stays pending.
+        """Put back, verified, what still has the value it was given; what could not be, with the value it should have, stays pending.
 
-        may: whether anything may be set on the vehicle now, asked before each of them. A link that is still silent after one of them has
-        been tried is not waited for again.
+        What somebody else set meanwhile is that person's choice, as it is to `still_left`. may: whether anything may be set on the vehicle
+        now, asked before each of them. A link that is still silent after one of them has been tried is not waited for again.
         """
         tried = False
         for name, value in reversed(list(self.pending.items())):
@@ -174,9 +175,27 @@ class ParameterChanges:
             if not may() or (tried and gone):
                 break
             tried = True
-            self.unconfirmed.add(name)
             with contextlib.suppress(LinkError):  # it is reported as left
+                if self._set_by_others(name):
+                    del self._before[name]
+                    continue
+                if not may():
+                    break
+                self.unconfirmed.add(name)
                 params.write_parameter(self._session, name, value, self._known)
                 del self._before[name]
                 self.unconfirmed.discard(name)
         return self.pending
+
+    def _set_by_others(self, name: str) -> bool:
+        """Whether a parameter has another value now than it was given, read from the vehicle."""
+        entry, now = self._before[name], params.read_parameter(self._session, name)
+        if now is None or params.same_single(now, entry.given):
+            return False
+        self._known[name] = now
+        if not params.same_single(now, entry.value):
+            self.left_alone.append(
+                f"{name} is {figure(now)}, set by somebody else during the flight, and was left so: before the flight it was "
+                f"{figure(entry.value)}"
+            )
+        return True
