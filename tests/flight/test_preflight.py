@@ -13,6 +13,7 @@ from flighttest.flight.preparation.preflight import checks, is_simulator, refuse
 from flighttest.flight.preparation.situation import Check, Situation
 from flighttest.link.session import Heard
 from flighttest.mavlink.dialect import dialect
+from flighttest.plan import CellPlan, Plan
 from tests.flight.faulty import GOOD, LIMITS, make_leg, make_plan
 
 PARAMETERS = {
@@ -121,6 +122,56 @@ def test_a_fence_that_the_pilot_has_drawn_is_completed_and_not_widened() -> None
     (check,) = found(parameters={"FENCE_ENABLE": 0.0, "FENCE_TYPE": 4.0, "FENCE_ALT_MAX": 12.0, "FENCE_RADIUS": 20.0})
     assert check.set["FENCE_TYPE"] == 7.0
     assert (check.set["FENCE_ALT_MAX"], check.set["FENCE_RADIUS"]) == (12.0, 20.0)
+
+
+def reaching(*cells: CellPlan) -> Plan:
+    return replace(make_plan(), cells=cells)
+
+
+def cell(label: str, start_m: tuple[float, float, float], far_m: float, up_m: float) -> CellPlan:
+    """A step that goes far_m to the vehicle's right and up_m up."""
+    low, high = (0.0, -far_m, 0.0), (0.0, 0.0, up_m)
+    return CellPlan(label, "roll_step", 3, (), 0, (), 1.0, start_m, low, high, low, high, 3.0)
+
+
+SMALL, LARGE = cell("roll+0.20", (0.0, 0.0, 5.0), 1.5, 0.0), cell("roll+0.50", (0.0, 0.0, 5.0), 3.9, 0.4)
+
+
+@pytest.mark.parametrize(
+    ("simulator", "fence", "words"),
+    [
+        (False, {"FENCE_RADIUS": 3.8}, ["FENCE_RADIUS is 3.8 m, and roll+0.50 gets 3.9 m away from home"]),
+        (False, {"FENCE_RADIUS": 4.0}, []),
+        (False, {"FENCE_ALT_MAX": 5.3}, ["FENCE_ALT_MAX is 5.3 m, and roll+0.50 gets up to 5.4 m high"]),
+        (False, {"FENCE_ALT_MAX": 5.5}, []),
+        (False, {"FENCE_RADIUS": 2.0, "FENCE_TYPE": 5.0}, []),  # a polygon is drawn, and the circle is off
+        (True, {"FENCE_RADIUS": 2.0, "FENCE_TYPE": 1.0}, []),
+        (True, {"FENCE_RADIUS": 2.0, "FENCE_ENABLE": 0.0}, []),
+        (True, {"FENCE_RADIUS": 2.0}, ["FENCE_RADIUS is 2 m"]),
+        (True, {"FENCE_ALT_MAX": 4.0, "FENCE_TYPE": 2.0}, []),
+    ],
+)
+def test_a_fence_inside_of_what_is_flown_is_found_before_the_flight(
+    simulator: bool, fence: dict[str, float], words: list[str]
+) -> None:
+    """On ArduCopter a circle of 2.5 m took the vehicle out of the sixth of 36 steps, and the command to resume flew into it again."""
+    seen = found(plan=reaching(SMALL, LARGE), parameters=fence, simulator=simulator)
+    assert [c.name for c in seen] == ["fence"] * len(words)
+    for check, text in zip(seen, words, strict=True):
+        assert check.what.startswith(text)
+        assert not check.set, "what the pilot has drawn stays as tight"
+
+
+def test_a_step_that_begins_away_from_home_is_judged_by_where_it_surely_gets() -> None:
+    aside = cell("roll+0.50", (0.0, 3.0, 5.0), 3.9, 0.0)  # towards home or away from it, by its heading
+    assert found(plan=reaching(aside), parameters={"FENCE_RADIUS": 3.1}) == []
+    assert [c.name for c in found(plan=reaching(aside), parameters={"FENCE_RADIUS": 2.9})] == ["fence"]
+
+
+def test_a_circle_about_home_is_not_compared_with_a_zone_elsewhere() -> None:
+    plan = reaching(LARGE)
+    elsewhere = replace(plan.vehicle, zone=replace(plan.vehicle.zone, origin=(50.0, 4.0)))
+    assert found(plan=replace(plan, vehicle=elsewhere), parameters={"FENCE_RADIUS": 2.0}) == []
 
 
 def test_an_armed_vehicle_is_refused() -> None:

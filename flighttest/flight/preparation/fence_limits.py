@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from flighttest.flight.preparation.situation import Check, Situation
-from flighttest.plan import Plan
+from flighttest.plan import CellPlan, Plan
 
 _BRAKE = 4
 _ALTITUDE, _CIRCLE, _POLYGON = 1, 2, 4
@@ -47,6 +47,41 @@ def fence_checks(s: Situation) -> list[Check]:
     text = ", ".join(f"{k} {v:g}" for k, v in wanted_fence.items())
     what = "no fence that brakes at the height and distance of the flight zone"
     return [Check("fence", what, f"set {text} (or use --set-params)", wanted_fence)]
+
+
+def inside_checks(s: Situation) -> list[Check]:
+    """Whether the steps themselves leave the fence that will be in force: the vehicle's, with what `fence_checks` asks for. No pilot has to
+    fly worse than planned for that. A simulator's fence is left as it is."""
+    asked = [] if s.simulator and s.plan.vehicle.zone.fence != "polygon" else fence_checks(s)
+    given = {name: value for check in asked for name, value in check.set.items()}
+    enabled, kinds, ceiling_m, radius_m = (
+        given.get(name, s.value(name)) for name in ("FENCE_ENABLE", "FENCE_TYPE", "FENCE_ALT_MAX", "FENCE_RADIUS")
+    )
+    if enabled != 1.0 or not s.plan.cells:
+        return []
+    found, in_force = [], int(kinds or 0)
+    high_m, highest = max((c.start_m[2] + c.high_m[2], c.label) for c in s.plan.cells)
+    if in_force & _ALTITUDE and ceiling_m is not None and high_m > ceiling_m:
+        what = f"FENCE_ALT_MAX is {ceiling_m:g} m, and {highest} gets up to {high_m:.1f} m high"
+        found.append(_inside(what, "FENCE_ALT_MAX"))
+    far_m, farthest = max((_away_m(c), c.label) for c in s.plan.cells)
+    about_home = s.plan.vehicle.zone.origin is None
+    if in_force & _CIRCLE and about_home and radius_m is not None and far_m > radius_m:
+        what = f"FENCE_RADIUS is {radius_m:g} m, and {farthest} gets {far_m:.1f} m away from home"
+        found.append(_inside(what, "FENCE_RADIUS"))
+    return found
+
+
+def _inside(what: str, parameter: str) -> Check:
+    remedy = f"raise {parameter} as far as the place allows, or fly a script of smaller steps"
+    return Check("fence", f"{what}: there the fence would take the vehicle out of the step", remedy)
+
+
+def _away_m(cell: CellPlan) -> float:
+    """How far from the zone's origin a step gets at least: it touches each side of its envelope, which lies about its start."""
+    start_m = math.hypot(*cell.start_m[:2])
+    reach_m = max(map(abs, (*cell.low_m[:2], *cell.high_m[:2])))
+    return max(start_m, reach_m - start_m)
 
 
 def _corner_m(plan: Plan) -> float:

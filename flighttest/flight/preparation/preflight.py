@@ -9,7 +9,7 @@ import re
 from collections.abc import Collection, Mapping
 
 from flighttest.errors import PreflightError
-from flighttest.flight.preparation.fence_limits import fence_checks
+from flighttest.flight.preparation.fence_limits import fence_checks, inside_checks
 from flighttest.flight.preparation.situation import Check, Situation
 from flighttest.flight.transmitter import received
 from flighttest.link.ardupilot import ArduPilot
@@ -181,7 +181,7 @@ def _safety(s: Situation) -> list[Check]:
             )
         )
     if s.simulator:
-        return found + (fence_checks(s) if s.plan.vehicle.zone.fence == "polygon" else [])
+        return found + (fence_checks(s) if s.plan.vehicle.zone.fence == "polygon" else []) + inside_checks(s)
     if not s.rc_live:
         found.append(
             Check(
@@ -190,7 +190,7 @@ def _safety(s: Situation) -> list[Check]:
                 "switch the transmitter on; its mode switch is how the pilot takes over",
             )
         )
-    return found + _transmitter(s) + fence_checks(s)
+    return found + _transmitter(s) + fence_checks(s) + inside_checks(s)
 
 
 def battery_words(s: Situation) -> str:
