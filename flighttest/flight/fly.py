@@ -186,6 +186,7 @@ class _Flight:
                 "the vehicle is not ArduPilot, the only firmware whose flights this version schedules",
                 "fly it with its own tools and import the log (.ulg of PX4); link.px4 was never tried on a real PX4",
             )
+        preflight.refuse_other_vehicles(beat, waived)
         offered = params.offered(session, lockstep.PARAMETER)
         if offered is not None:
             self._enter_lock_step(offered)

@@ -7,13 +7,15 @@ from collections.abc import Mapping, Set
 from pathlib import Path
 
 from flighttest.errors import RecordingError
-from flighttest.mavlink.dialect import dialect
+from flighttest.mavlink.dialect import dialect, vehicle_kind
 
-_WING, _SUBMARINE, _AIRSHIP = "a fixed-wing aircraft", "a submarine", "an airship"
-_BY_TYPE = {
-    dialect.MAV_TYPE_FIXED_WING: _WING, dialect.MAV_TYPE_GROUND_ROVER: "a rover", dialect.MAV_TYPE_SURFACE_BOAT: "a boat",
-    dialect.MAV_TYPE_SUBMARINE: _SUBMARINE, dialect.MAV_TYPE_AIRSHIP: _AIRSHIP,
-}  # fmt: skip
+_REFUSED = frozenset({
+    dialect.MAV_TYPE_FIXED_WING, dialect.MAV_TYPE_GROUND_ROVER, dialect.MAV_TYPE_SURFACE_BOAT, dialect.MAV_TYPE_SUBMARINE,
+    dialect.MAV_TYPE_AIRSHIP,
+})  # fmt: skip
+_WING, _SUBMARINE, _AIRSHIP = map(
+    vehicle_kind, (dialect.MAV_TYPE_FIXED_WING, dialect.MAV_TYPE_SUBMARINE, dialect.MAV_TYPE_AIRSHIP)
+)
 _BY_FIRMWARE = {
     "Plane": _WING,
     "Rover": "a rover or boat",
@@ -34,8 +36,8 @@ def refuse_by_firmware(path: Path, firmware: str, parameters: Mapping[str, float
 
 def refuse_by_type(path: Path, mav_type: int, parameters: Mapping[str, float]) -> None:
     """The same by the type in HEARTBEAT, in which ArduPilot's quadplanes are fixed-wing aircraft."""
-    if mav_type in _BY_TYPE and not parameters.get("Q_ENABLE"):
-        _refuse(path, _BY_TYPE[mav_type], f"type {mav_type} in its HEARTBEAT")
+    if mav_type in _REFUSED and not parameters.get("Q_ENABLE"):
+        _refuse(path, vehicle_kind(mav_type), f"type {mav_type} in its HEARTBEAT")
 
 
 def refuse_by_px4(path: Path, types: Set[int], vtol: bool) -> None:

@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 __all__ = [
     "COMPONENT_AUTOPILOT",
+    "MULTICOPTERS",
     "Message",
     "dialect",
     "firmware_version",
@@ -15,6 +16,7 @@ __all__ = [
     "is_vehicle",
     "is_warning",
     "parser",
+    "vehicle_kind",
 ]
 
 Message = Any
@@ -27,6 +29,17 @@ _NO_VEHICLE = frozenset({
     dialect.MAV_TYPE_ADSB, dialect.MAV_TYPE_CAMERA, dialect.MAV_TYPE_CHARGING_STATION, dialect.MAV_TYPE_FLARM,
 })  # fmt: skip
 
+MULTICOPTERS = frozenset({
+    dialect.MAV_TYPE_QUADROTOR, dialect.MAV_TYPE_HEXAROTOR, dialect.MAV_TYPE_OCTOROTOR, dialect.MAV_TYPE_TRICOPTER,
+    dialect.MAV_TYPE_COAXIAL, dialect.MAV_TYPE_DODECAROTOR, dialect.MAV_TYPE_DECAROTOR,
+})  # fmt: skip
+_KINDS = {
+    dialect.MAV_TYPE_FIXED_WING: "a fixed-wing aircraft", dialect.MAV_TYPE_HELICOPTER: "a helicopter",
+    dialect.MAV_TYPE_GROUND_ROVER: "a rover", dialect.MAV_TYPE_SURFACE_BOAT: "a boat", dialect.MAV_TYPE_SUBMARINE: "a submarine",
+    dialect.MAV_TYPE_AIRSHIP: "an airship", dialect.MAV_TYPE_FREE_BALLOON: "a balloon", dialect.MAV_TYPE_ROCKET: "a rocket",
+    **dict.fromkeys(range(dialect.MAV_TYPE_VTOL_DUOROTOR, dialect.MAV_TYPE_VTOL_RESERVED5 + 1), "a VTOL aircraft"),
+}  # fmt: skip
+
 
 def parser(system: int, component: int) -> Any:
     """A fresh encoder and decoder for one end of a link: it never raises on bad bytes, they come out as BAD_DATA."""
@@ -38,6 +51,11 @@ def parser(system: int, component: int) -> Any:
 def is_vehicle(heartbeat: Message) -> bool:
     """Whether a HEARTBEAT comes from an autopilot, not from a ground station, an antenna tracker, a gimbal or a companion computer."""
     return bool(heartbeat.autopilot != dialect.MAV_AUTOPILOT_INVALID and heartbeat.type not in _NO_VEHICLE)
+
+
+def vehicle_kind(mav_type: int) -> str:
+    """What a HEARTBEAT's type is, where that is a vehicle but no multirotor; else ''."""
+    return _KINDS.get(mav_type, "")
 
 
 def is_warning(statustext: Message) -> bool:

@@ -8,12 +8,12 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping
 
-from flighttest.errors import PreflightError
+from flighttest.errors import LinkError, PreflightError
 from flighttest.flight.preparation.fence_limits import fence_checks, inside_checks
 from flighttest.flight.preparation.situation import Check, Situation
 from flighttest.flight.transmitter import received
 from flighttest.link.ardupilot import ArduPilot
-from flighttest.mavlink.dialect import dialect
+from flighttest.mavlink.dialect import MULTICOPTERS, Message, dialect, vehicle_kind
 
 THRUST_AS_THRUST = 8
 TIMEOUT_S = 0.2
@@ -95,8 +95,7 @@ def _firmware(s: Situation) -> list[Check]:
         named = ", ".join(map(str, sorted(s.others)))
         what = f"there are other vehicles on this link (system {named}): which of them is to fly is not stated"
         found.append(Check("vehicles", what, "give this vehicle a link or a port of its own"))
-    if s.vehicle_type not in _MULTICOPTERS:
-        found.append(Check("frame", "the vehicle is not a multirotor", "connect to a multirotor"))
+    found += _frame(s.vehicle_type)
     version = re.match(r"(\d+)\.(\d+)", s.firmware)
     if version is None:
         found.append(
@@ -116,6 +115,29 @@ def _firmware(s: Situation) -> list[Check]:
                 )
             )
     return found
+
+
+def refuse_other_vehicles(beat: Message, waived: Collection[str] | None = None) -> None:
+    """By its first HEARTBEAT, before anything is asked of it. LinkError where the vehicle cannot be ArduCopter, whose numbers of modes mean
+    others there (its GUIDED is a rover's HOLD): that cannot be waived. PreflightError for another frame of ArduCopter; waived: None where
+    the vehicle is only read, so that there is nothing to waive."""
+    kind = vehicle_kind(beat.type)
+    if kind and (waived is None or beat.type != dialect.MAV_TYPE_HELICOPTER):
+        raise LinkError(
+            f"the vehicle is {kind} (type {beat.type} in its HEARTBEAT); only multirotors are flown and modelled",
+            "connect to a multirotor: check the URL, and which vehicle is switched on",
+        )
+    if waived is not None:
+        refuse(_frame(beat.type), waived)
+
+
+def _frame(vehicle_type: int) -> list[Check]:
+    if vehicle_type in MULTICOPTERS:
+        return []
+    what = f"the vehicle is {vehicle_kind(vehicle_type) or 'of a kind that is not known'} (type {vehicle_type} in its HEARTBEAT)"
+    return [
+        Check("frame", f"{what}, not a multirotor", "connect to a multirotor, or set its FRAME_CLASS where it is one")
+    ]
 
 
 def _guided(s: Situation) -> list[Check]:
@@ -321,14 +343,6 @@ def home_checks(outside_m: float) -> list[Check]:
     what = f"home, where it takes off, is {outside_m:.0f} m outside of the flight zone"
     remedy = "carry it into the zone, or correct the zone; --waive zone where the way to it is free and watched"
     return [Check("zone", what, remedy)]
-
-
-_MULTICOPTERS = frozenset(
-    {
-        dialect.MAV_TYPE_QUADROTOR, dialect.MAV_TYPE_HEXAROTOR, dialect.MAV_TYPE_OCTOROTOR, dialect.MAV_TYPE_TRICOPTER,
-        dialect.MAV_TYPE_COAXIAL, dialect.MAV_TYPE_DODECAROTOR, dialect.MAV_TYPE_DECAROTOR,
-    }
-)  # fmt: skip
 
 
 def refuse(found: list[Check], waived: Collection[str]) -> None:

@@ -7,7 +7,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from flighttest.flight.preparation.preflight import THRUST_AS_THRUST
+from flighttest.flight.preparation.preflight import THRUST_AS_THRUST, refuse_other_vehicles
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import MavlinkPort
@@ -40,12 +40,14 @@ class LiveVehicle:
 
 
 def read_vehicle(url: str, progress: Progress = SILENT, key: bytes | None = None) -> LiveVehicle:
-    """Connect, read, disconnect. `sim` is the built-in vehicle; key: of MAVLink 2 signing. LinkError when nothing answers."""
+    """Connect, read, disconnect. `sim` is the built-in vehicle; key: of MAVLink 2 signing. LinkError when nothing answers, or no
+    multirotor."""
     with _built_in() if url == BUILTIN else nullcontext(url) as where:
         progress.stage(f"reading the vehicle at {url}; nothing is set, nothing arms")
         session = Session(MavlinkPort(open_transport(where), key=None if url == BUILTIN else key))
         try:
             beat = session.connect()
+            refuse_other_vehicles(beat)
             found = params.read_all(session)
             version = ArduPilot(session).firmware()
         finally:
@@ -70,11 +72,13 @@ def _built_in() -> Iterator[str]:
 
 
 def hello(url: str, key: bytes | None = None) -> str:
-    """What answers at a URL, in words. `sim` is the built-in vehicle, started for it. LinkError when nothing does."""
+    """What answers at a URL, in words. `sim` is the built-in vehicle, started for it. LinkError when nothing does, or
+    no multirotor."""
     with _built_in() if url == BUILTIN else nullcontext(url) as where:
         session = Session(MavlinkPort(open_transport(where), key=None if url == BUILTIN else key))
         try:
             beat = session.connect()
+            refuse_other_vehicles(beat)
             return f"{url}: {_NAMES.get(beat.autopilot, 'autopilot')} {ArduPilot(session).firmware()}".strip()
         finally:
             session.port.close()
