@@ -20,7 +20,9 @@ class FlightOutcome(Enum):
     )
     BATTERY = "the flight ended early: the battery reached the script's lower limit"
     NOT_SETTLED = "the flight ended early: the vehicle did not settle at the start of several steps in a row"
-    TAKE_OVER = "the pilot (or a failsafe) changed the mode; nothing was sent after that"
+    TAKE_OVER = (
+        "the mode was changed by the pilot, a failsafe, the fence or another station; nothing was sent after that"
+    )
     LINK_LOST = "the link was lost: the vehicle was not heard any more"
     UPLINK_LOST = "the link was lost in one direction: the vehicle was heard, but answered nothing any more"
     OPERATOR_STOP = "the operator stopped the flight"

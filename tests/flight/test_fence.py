@@ -178,9 +178,12 @@ def test_a_vehicle_that_crosses_it_is_braked(run_dir: Path) -> None:
         (HOME_E7[0] + dx * half_e7, HOME_E7[1] + dy * half_e7) for dx, dy in ((1, 1), (1, -1), (-1, -1), (-1, 1))
     ]
     hand_over(link, polygon(corners))
-    result = fly(make_plan(), "sim", run_dir, transport=link)
+    alarms: list[str] = []
+    result = fly(make_plan(), "sim", run_dir, transport=link, on_progress=lambda p: alarms.append(p.alarm))
     assert result.outcome is FlightOutcome.TAKE_OVER
     assert link.sim.vehicle.mode == CopterMode.BRAKE
+    assert 'BRAKE after the vehicle\'s message "Polygon fence breached"' in result.notes, "the answer names the fence"
+    assert any(a.startswith('in BRAKE (after the vehicle\'s message "Polygon fence breached")') for a in alarms)
     assert any("Polygon fence breached" in line for line in (run_dir / "events.jsonl").read_text().splitlines())
 
 

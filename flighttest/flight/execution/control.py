@@ -7,6 +7,7 @@ the flight.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -36,6 +37,7 @@ TAKE_OVER = "PILOT, take over with the mode switch"
 NO_SWITCH = "the pilot's transmitter is not received: keep clear, it flies by its own failsafes"
 AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for less delays no target
 CONFIRMED_WITHIN_S = 2.5  # after a HEARTBEAT that contradicts those before: the next one comes within a second
+SAID_WITHIN_S = 3.0  # before a change: a fence or failsafe states its reason with it, and the second HEARTBEAT decides a second later
 UNLIKE_BEATS = 2  # in a row, as for a take-over; the first after the switch was seen may be of before
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
 UPLINK_GIVE_UP_S = 60.0  # heard, but without an answer: as long as it may come back it is asked to land
@@ -108,6 +110,7 @@ class FlightControl:
         self._switch_modes: dict[int, int] = {}  # by its position
         self._chosen: int | None = None  # by the switch that took over
         self._unlike = 0  # HEARTBEATs in a row that show another
+        self._warnings: deque[tuple[float, str]] = deque(maxlen=8)  # of the vehicle, and when they came
         self._link = LinkState.SEARCHING
         self.session.listen(self._watch)
 
@@ -170,6 +173,7 @@ class FlightControl:
             if text:
                 self.recorder.event("note", text, t_s)
         if kind == "STATUSTEXT" and is_warning(message):
+            self._warnings.append((t_s, message.text.strip()))
             self.alarm(f"message of the vehicle: {message.text.strip()}")
         if kind == "HEARTBEAT":
             self._watch_mode(int(message.custom_mode), is_armed(message), t_s)
@@ -215,6 +219,7 @@ class FlightControl:
         shown, self._unconfirmed, self.session.held = self._unconfirmed, None, False
         if self.machine.state is FlightState.ARMING and (self._was_armed or self.vehicle.armed):
             self.on(Event.ARMED)
+        why = "" if by_switch else self._said_before(t_s)
         if shown.event is Event.FOREIGN_MODE and self.machine.state is FlightState.OFFERED:
             self.recorder.event(
                 "note", f"the pilot has the vehicle ({mode_name(shown.mode)})", t_s, {"mode": shown.mode}
@@ -222,13 +227,22 @@ class FlightControl:
         elif shown.event is Event.FOREIGN_MODE:
             self.session.port.mute()
             self.recorder.event("take_over", mode_name(shown.mode), t_s, {"mode": shown.mode})
-            who = "the pilot moved the mode switch" if by_switch else "by the pilot, a failsafe, the fence or a station"
+            who = (
+                "the pilot moved the mode switch"
+                if by_switch
+                else why or "by the pilot, a failsafe, the fence or a station"
+            )
             self._mode = shown.mode
             self._chosen = self._switch_modes.get(self.mode_switch.position or 0) if by_switch else None
             self.alarm(f"in {mode_name(shown.mode)} ({who}): nothing is sent any more; {self._to_do}")
         elif not self._landing:
             self.recorder.event("note", "disarmed in flight", t_s)
-        self.on(shown.event)
+        self.on(shown.event, f"{mode_name(shown.mode) if self.taken_over else 'disarmed'} {why}" if why else "")
+
+    def _said_before(self, t_s: float) -> str:
+        """The vehicle's warnings just before a change that others caused, which may be its reason; else ''."""
+        said = dict.fromkeys(text for at_s, text in self._warnings if 0.0 <= t_s - at_s <= SAID_WITHIN_S)
+        return "after the vehicle's message " + ", ".join(f'"{text}"' for text in said) if said else ""
 
     @property
     def _to_do(self) -> str:

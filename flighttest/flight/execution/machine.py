@@ -29,7 +29,7 @@ class FlightState(Enum):
 
     NOT_ARMED = "the vehicle was not armed"
     LANDED = "the vehicle landed and disarmed"
-    WITH_PILOT = "the vehicle is the pilot's (or its failsafe's), in {mode}"
+    WITH_PILOT = "the vehicle is the pilot's (or its failsafe's or fence's), in {mode}"
     IN_ABORT_MODE = "the vehicle is in the air in {mode}, as it confirmed: the pilot's to land"
     TO_AUTOPILOT = (
         "the vehicle is in the air in {mode} and left to its autopilot's failsafes: take it over with the mode switch"
