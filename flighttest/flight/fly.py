@@ -367,7 +367,7 @@ class _Flight:
 
     def _close(self) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
-        record_fall(self._control)
+        self._announce(record_fall(self._control))
         self._external_changes.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}
         if self._fence is not None:
@@ -380,9 +380,9 @@ class _Flight:
             except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over the released vehicle
                 left = self._changes.pending
                 self.notes.append(str(error))
-        for text in self.session.port.left_out():
             for text in self._changes.left_alone:
                 self._announce(text)
+        for text in self.session.port.left_out():
             self._note(text)
         left |= self._unrestored
         if left:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Collection, Mapping
 
 from flighttest.errors import FlighttestError
@@ -21,19 +22,34 @@ _FALL_S = 5.0  # from 120 m
 _DOWN = frozenset({FlightState.GROUND, FlightState.ARMING, FlightState.NOT_ARMED, FlightState.LANDED})
 
 
-def record_fall(control: FlightControl | None) -> None:
-    """Record how a vehicle that was disarmed in flight comes down, until a second after it is seen near the ground; nothing is sent that
-    moves it, and nothing is raised."""
+def record_fall(control: FlightControl | None) -> str:
+    """Record how a vehicle that was disarmed in flight comes down, until a second after it is seen near the ground; where it was last seen,
+    '' for any other vehicle. Nothing is sent that moves it, and nothing is raised."""
     if control is None or control.machine.state is not FlightState.DISARMED:
-        return
+        return ""
     session = control.session
     began = session.now_s()
+    down = False
     with contextlib.suppress(FlighttestError, FlightEnded):
-        while not control.stop_now and 0.0 <= session.now_s() - began < _FALL_S:
+        while not (down or control.stop_now) and 0.0 <= session.now_s() - began < _FALL_S:
             down = on_ground(control.state, control.gate)
             control.until(session.now_s() + (1.0 if down else 0.1))
-            if down:
-                return
+    return f"disarmed in flight, and {'' if down else 'not '}seen to come down: {_last_seen(control)}"
+
+
+def _last_seen(control: FlightControl) -> str:
+    """Where the vehicle was by the latest messages, for who looks for it."""
+    state, fix = control.state, control.session.latest.get("GLOBAL_POSITION_INT")
+    parts = [
+        f"last {state.height_m:.1f} m above home" if state.height_m is not None else "at a height that is not known"
+    ]
+    if state.position_m is not None:
+        north_m, west_m = state.position_m[:2]
+        bearing_deg = math.degrees(math.atan2(-west_m, north_m)) % 360.0
+        parts.append(f"{math.hypot(north_m, west_m):.1f} m from the zone's origin towards {bearing_deg:.0f} deg")
+    if fix is not None and (fix.message.lat or fix.message.lon):
+        parts.append(f"at latitude {fix.message.lat * 1e-7:.6f}, longitude {fix.message.lon * 1e-7:.6f}")
+    return ", ".join(parts)
 
 
 def may_restore(vehicle: ArduPilot, control: FlightControl | None) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +22,11 @@ from flighttest.pipeline.store.resuming import fence_behind, left_behind
 from flighttest.recording.store import MANIFEST_NAME, open_run, read_manifest
 from tests.flight.faulty import GATE, GOOD, FaultyLink, fly, make_plan, options
 
+HOME = (-35.3632621, 149.1652374)
+PLACE = (
+    r"disarmed in flight, and (?P<down>.*): last (?P<height>\S+) m above home, (?P<away>\S+) m from the zone's origin "
+    r"towards \d+ deg, at latitude (?P<lat>\S+), longitude (?P<lon>\S+)"
+)
 SET = {"GUID_OPTIONS": 0.0, "GUID_TIMEOUT": 3.0}
 
 
@@ -91,6 +97,13 @@ def test_a_vehicle_that_falls_is_not_sent_a_parameter(run_dir: Path) -> None:
     assert t_s[-1] > down_s, "the fall is recorded: the record ended 4 m above the ground"
     assert all(t > down_s for t in began[1:]), "no parameter is set while it falls"
     assert result.parameters_left == {}
+    assert result.sentence.endswith("the vehicle is disarmed: where it was last seen is noted")
+    seen = [re.fullmatch(PLACE, note) for note in result.notes]
+    place = next(match for match in seen if match)
+    assert place["down"] == "seen to come down"
+    assert abs(float(place["height"])) < 0.5
+    assert float(place["away"]) < 3.0
+    assert (float(place["lat"]), float(place["lon"])) == pytest.approx(HOME, abs=5e-5)
 
 
 def test_a_fall_that_nothing_shows_ends_the_wait_for_it(run_dir: Path) -> None:
@@ -101,6 +114,7 @@ def test_a_fall_that_nothing_shows_ends_the_wait_for_it(run_dir: Path) -> None:
     assert result.outcome is FlightOutcome.DISARMED
     assert 5.0 < link.sim.time_s - done[0] < 8.0
     assert len(began) == 1, "no parameter is set where it is not seen to be down"
+    assert any(note.startswith("disarmed in flight, and not seen to come down: ") for note in result.notes)
 
 
 def test_a_vehicle_that_is_left_in_the_air_is_not_sent_a_parameter(run_dir: Path) -> None:

@@ -39,7 +39,7 @@ class FlightState(Enum):
         "once it is down"
     )
     LANDING_UNSEEN = "the vehicle was landing when it was last heard: whether it is down is not known"
-    DISARMED = "the vehicle is disarmed: where it came down was not seen"
+    DISARMED = "the vehicle is disarmed: where it was last seen is noted"
     UNKNOWN = "what the vehicle does is not known, it was last heard in {mode}: take it over with the mode switch"
 
     __hash__ = object.__hash__  # looked up at every message; Enum's own calculates it anew from the name
