@@ -4,6 +4,7 @@ import os
 import socket
 import stat
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,19 @@ class TestCommand:
         words = command(SitlOptions(parameters={"GUID_TIMEOUT": 1.5}), Path("/x"), 17000, tmp_path)
         extra = words[words.index("--defaults") + 1].split(",")[-1]
         assert Path(extra).read_text() == "GUID_TIMEOUT 1.5\n"
+
+    def test_a_folder_named_from_here_is_found_from_there(self, tmp_path, monkeypatch):
+        """The firmware runs in that folder and looked for `sitl/extra.parm` below it: it never answered."""
+        monkeypatch.chdir(tmp_path)
+        fake = program(tmp_path / "arducopter", '#!/bin/sh\necho "$@" > words\nexec sleep 60\n')
+        with launch(SitlOptions(folder=Path("sitl"), parameters={"GUID_TIMEOUT": 1.5}), binary=fake, wait_s=0.0):
+            written = tmp_path / "sitl" / "words"
+            deadline = time.monotonic() + 10.0
+            while not (written.is_file() and written.read_text()) and time.monotonic() < deadline:
+                time.sleep(0.01)
+            words = written.read_text().split()
+        extra = words[words.index("--defaults") + 1].split(",")[-1]
+        assert (tmp_path / "sitl" / extra).read_text() == "GUID_TIMEOUT 1.5\n"
 
     def test_parameter_files_are_what_the_firmware_reads(self):
         for path in sitl_dir().glob("*.parm"):

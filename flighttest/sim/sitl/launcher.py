@@ -218,7 +218,8 @@ def launch(
             "build it without --disable-scripting",
         )
     temporary = chosen.folder is None
-    folder = Path(tempfile.mkdtemp(prefix="flighttest-sitl-")) if chosen.folder is None else chosen.folder
+    named = Path(tempfile.mkdtemp(prefix="flighttest-sitl-")) if chosen.folder is None else chosen.folder
+    folder = named.resolve()  # the firmware runs in it, and reads its files by their names on the command line
     folder.mkdir(parents=True, exist_ok=True)
     try:
         base = _asked_for(chosen.port) if chosen.port else free_ports()
