@@ -1,14 +1,19 @@
 """Several recordings at once: processes give the same, a missing cluster is said."""
 
+import shlex
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import flighttest as ft
-from flighttest.errors import FlighttestError
+from flighttest.errors import FlighttestError, RecordingError
 from flighttest.pipeline.identification.fitting import fit, segment
 from flighttest.pipeline.identification.showing import show
-from flighttest.pipeline.recordings.sources import Reading, import_log, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, import_log, open_recording, open_recordings
 from flighttest.pipeline.results import Status
+from flighttest.pipeline.store.table import history
 
 
 @pytest.mark.slow
@@ -101,3 +106,67 @@ def test_import_and_show_count_the_time_in_the_air_alike(tmp_path):
     shown = show(run, tmp_path / "show.html")
     assert dict(shown.document.facts)["in the air"] == "40 s"
     assert "flight of 40 s" in shown.document.verdict
+
+
+def raises(error):
+    """A function that raises it."""
+
+    def fail(*_arguments, **_options):
+        raise error
+
+    return fail
+
+
+def words_of(command):
+    """The words of a command that a sentence holds between backquotes."""
+    return shlex.split(command.split("`")[1])
+
+
+def test_an_import_that_fails_leaves_no_folder(flight_csv, tmp_path, monkeypatch):
+    """It left the first channels without a manifest, and a second attempt was refused: "exists and is not a run folder"."""
+    with monkeypatch.context() as patch:
+        patch.setattr("flighttest.recording.store.write_manifest", raises(OSError(28, "No space left on device")))
+        with pytest.raises(OSError, match="No space left"):
+            import_log(flight_csv, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_import_that_was_killed_is_done_by_the_same_command(flight_csv, tmp_path):
+    killed, asked = tmp_path / "killed", tmp_path / "asked"
+    import_log(flight_csv, asked)
+    (killed / "channels.part").mkdir(parents=True)
+    (killed / "channels.part" / "attitude.parquet").write_bytes(b"PAR1")
+    import_log(flight_csv, killed)
+    assert sorted(p.name for p in killed.iterdir()) == sorted(p.name for p in asked.iterdir())
+
+
+@pytest.mark.parametrize("what", ["a channel", "the manifest", "no manifest"])
+def test_the_command_that_is_printed_for_a_damaged_run_mends_it(what, flight_csv, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my runs").mkdir()
+    log, run = tmp_path / "my runs" / "a.csv", Path("my runs/one")
+    shutil.copyfile(flight_csv, log)
+    import_log(log, run)
+    if what == "a channel":
+        channel = next((run / "channels").iterdir())
+        channel.write_bytes(channel.read_bytes()[:100])
+    elif what == "the manifest":
+        (run / "manifest.yaml").write_text("{{{")
+    else:
+        (run / "manifest.yaml").unlink()
+        (run / "raw.tlog").touch()
+        (broken,) = history(tmp_path / "my runs").data["broken"]
+        assert words_of(broken) == ["flighttest", "import", str(tmp_path / run / "raw.tlog"), "-o", str(tmp_path / run)]
+        return
+    with pytest.raises(RecordingError) as caught:
+        open_recording(run)
+    hint = caught.value.hint
+    if what == "the manifest":
+        assert hint == "move it away, then write it again from its log: `flighttest import LOG -o 'my runs/one'`"
+        (run / "manifest.yaml").rename("away")
+        import_log(log, run)
+    else:
+        words = words_of(hint)
+        assert words[:2] == ["flighttest", "import"]
+        import_log(Path(words[2]), Path(words[4]))
+    assert open_recording(run).has("roll_rad")

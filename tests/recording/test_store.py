@@ -13,6 +13,7 @@ from flighttest.pipeline.identification.reporting import keep_segments
 from flighttest.recording import Marker, Provenance, Recording, Series
 from flighttest.recording.store import (
     events_header,
+    is_remains,
     open_run,
     read_events,
     read_manifest,
@@ -192,3 +193,42 @@ def test_the_sample_rate_of_a_series_is_computed_once(monkeypatch):
     assert series.rate_hz == pytest.approx(10.0)
     monkeypatch.setattr(np, "median", None)
     assert series.rate_hz == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_the_channels_are_there_all_or_not_at_all(
+    failure: BaseException, tmp_path: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that was full after the first group left a folder with the attitude alone, read as a recording of nothing else."""
+    write = pq.write_table
+
+    def full(table: object, path: Path, **options: object) -> None:
+        if path.name.startswith("battery"):
+            raise failure
+        write(table, path, **options)
+
+    old, new = tmp_path / "old", tmp_path / "new"
+    write_recording(old, recording)
+    monkeypatch.setattr(pq, "write_table", full)
+    later = {name: Series(series.t_s + 1.0, dict(series.columns)) for name, series in recording.series.items()}
+    for folder in (old, new):
+        with pytest.raises(type(failure)):
+            write_recording(folder, Recording("r1", later, (), recording.provenance))
+    assert list(new.iterdir()) == []
+    assert sorted(p.name for p in old.iterdir()) == ["channels", "events.jsonl", "manifest.yaml"]
+    kept = open_run(old)
+    assert set(kept.series) == set(recording.series)
+    assert all(kept.series[name].t_s[0] == 1.0 for name in kept.series), "none of the later recording"
+
+
+def test_what_a_killed_program_left_of_a_run_is_no_other_folder(tmp_path: Path, recording: Recording) -> None:
+    write_recording(tmp_path, recording)
+    (tmp_path / "channels").rename(tmp_path / "channels.part")
+    (tmp_path / "manifest.yaml").unlink()
+    assert is_remains(tmp_path)
+    with pytest.raises(RecordingError, match=r"was its import ended early.*`flighttest import LOG -o "):
+        open_run(tmp_path)
+    (tmp_path / "thesis.tex").touch()
+    assert not is_remains(tmp_path)
+    with pytest.raises(RecordingError, match=r"no manifest.yaml; name a folder"):
+        open_run(tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -23,6 +24,7 @@ from flighttest.recording.store import (
     CHANNELS_DIR,
     MANIFEST_NAME,
     RAW_NAME,
+    is_remains,
     open_run,
     read_events,
     read_manifest,
@@ -163,7 +165,8 @@ def import_log(
     if log.is_dir():
         raise InputError(f"{log} is a folder", "name the log file; a run folder needs no import")
     rebuilding = (output / MANIFEST_NAME).exists()
-    if output.exists() and not rebuilding and (not output.is_dir() or any(output.iterdir())):
+    new = not output.exists()
+    if not (new or rebuilding or is_remains(output)):
         raise InputError(f"{output} exists and is not a run folder", "name a folder that does not exist yet")
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     progress.stage(f"reading {log}")
@@ -183,8 +186,13 @@ def import_log(
         )
     recording = Recording(output.name, recording.series, recording.markers, provenance)
     progress.stage(f"writing {output}")
-    output.mkdir(parents=True, exist_ok=True)
-    write_recording(output, recording)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        write_recording(output, recording)
+    except BaseException:
+        if new:
+            shutil.rmtree(output, ignore_errors=True)
+        raise
     return describe_recording(recording, output)
 
 

@@ -15,7 +15,7 @@ from flighttest.pipeline.results import Result
 from flighttest.pipeline.store.history import FIT_NAME, check_runs, when
 from flighttest.pipeline.store.identities import known_in, of_manifest, recognised, run_folders
 from flighttest.recording.manifest import Manifest
-from flighttest.recording.store import CHANNELS_DIR, MANIFEST_NAME, RAW_NAME, read_manifest
+from flighttest.recording.store import CHANNELS_DIR, MANIFEST_NAME, RAW_NAME, read_manifest, rebuild_hint
 from flighttest.report.document import Document
 from flighttest.report.render import html
 from flighttest.report.sections.history import HistoryPoint, history_document
@@ -44,7 +44,7 @@ def history(folder: Path, *, page: bool = False) -> Result:
         points.append(_point(run, manifest, stored, recognised(of_manifest(manifest), known)))
         if stored is not None:
             units.update({n: p.unit for n, p in stored.parameters.items()})
-    document = history_document(points, units, [line.replace(f"{folder}{os.sep}", "") for line in broken])
+    document = history_document(points, units, [line.removeprefix(f"{folder}{os.sep}") for line in broken])
     if page and points:
         document = _written(document, folder / "history.html")
     data = {"runs": [_data(p) for p in points], "broken": broken}
@@ -62,9 +62,7 @@ def _without_manifest(folder: Path) -> list[str]:
     """What was a run, by what else it holds, and has lost its manifest."""
     found = sorted(p for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
     return [
-        f"{run}: it has no {MANIFEST_NAME}; rebuild the run from its raw.tlog (`flighttest import`)"
-        if (run / RAW_NAME).is_file()
-        else f"{run}: it has no {MANIFEST_NAME}; import its log again"
+        f"{run}: it has no {MANIFEST_NAME}; {rebuild_hint(run)}"
         for run in found
         if not (run / MANIFEST_NAME).is_file() and ((run / RAW_NAME).is_file() or (run / CHANNELS_DIR).is_dir())
     ]
