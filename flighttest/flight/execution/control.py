@@ -17,9 +17,11 @@ from flighttest.flight.execution.machine import Event, FlightState, Machine
 from flighttest.flight.gate import GateLimits, Refusal, refusals, stop_throttles
 from flighttest.flight.outcome import HOW_TO_STOP, HOW_TO_STOP_HANDED, OnProgress
 from flighttest.flight.preparation.changes import ExternalChanges
+from flighttest.flight.preparation.preflight import TIMEOUT_S
 from flighttest.flight.recorder import Recorder
 from flighttest.flight.state import StateReader, VehicleState
 from flighttest.flight.transmitter import ModeSwitch, Transmitter
+from flighttest.frames import G_M_S2
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.session import Session
 from flighttest.link.states import BROKEN, LinkState
@@ -357,9 +359,9 @@ class FlightControl:
         climb = state.climb_m_s if prompt else None
         throttle = self.hover_throttle
         if climb is not None and math.isfinite(climb):
-            # Proportional inside half a metre per second, so that a stop does not swing.
+            # It may be the last that arrives for GUID_TIMEOUT: a climb that is stopped in less is reversed until the next one acts.
             low, high = self.gate.stop_throttle
-            wanted = self.hover_throttle * (1.0 - 0.8 * climb / 0.5)
+            wanted = self.hover_throttle * (1.0 - climb / (G_M_S2 * TIMEOUT_S))
             throttle = min(max(wanted, low), high)
         return AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle)
 

@@ -86,9 +86,12 @@ class ModeRequest:
         self._control = control
         self._asked_s = self._handled_s = -math.inf
 
-    def ask_where_due(self, mode: CopterMode) -> None:
-        """Ask for a mode if it is time to."""
-        if self.due and self._control.vehicle.ask_mode(mode):
+    def ask_where_due(self, mode: CopterMode, before: Callable[[], None] = lambda: None) -> None:
+        """Ask for a mode if it is time to. before: called just before each request leaves."""
+        if not self.due:
+            return
+        before()
+        if self._control.vehicle.ask_mode(mode):
             self._asked_s, self._handled_s = self._control.session.now_s(), math.inf
 
     @property
@@ -157,30 +160,36 @@ def come_to_rest(control: FlightControl) -> None:
 
 
 def enter(
-    control: FlightControl, mode: CopterMode, timeout_s: float = 5.0, meanwhile: Callable[[], None] | None = None
+    control: FlightControl,
+    mode: CopterMode,
+    timeout_s: float = 5.0,
+    meanwhile: Callable[[], None] = lambda: None,
+    before: Callable[[], None] = lambda: None,
 ) -> bool:
-    """Ask for a mode until a fresh HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle."""
+    """Ask for a mode until a fresh HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle; before: before each request."""
     deadline = control.session.now_s() + timeout_s
     request = ModeRequest(control)
     while True:
         now = control.session.now_s()
-        request.ask_where_due(mode)
+        request.ask_where_due(mode, before)
         state = control.cycle()
         if state.mode == mode and state.mode_age_s < UNSEEN_S:
             return True
         if now > deadline:
             return False
-        if meanwhile is not None:
-            meanwhile()
+        meanwhile()
 
 
 def enter_nogps(control: FlightControl) -> bool:
-    """Into GUIDED_NOGPS, with a level hover target as soon as the vehicle accepts the mode: the mode keeps the last flight's
-    throttle until the first target.
-
-    Level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.
+    """Into GUIDED_NOGPS, which keeps the throttle of the last attitude target until the next one, for the time that a link takes there and
+    back (0.1 of full throttle over 0.2 s: 0.6 m/s down, flown). In GUIDED, which takes attitude targets, too, a level target with the
+    throttle that holds height goes before the request; level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.
     """
     asked_s = control.session.now_s()
+
+    def level() -> None:
+        if control.state.mode == CopterMode.GUIDED:
+            control.release()
 
     def hover() -> None:
         ack = control.session.latest.get("COMMAND_ACK")
@@ -189,7 +198,7 @@ def enter_nogps(control: FlightControl) -> bool:
         if (ack.message.command, ack.message.result) == (dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_RESULT_ACCEPTED):
             control.release()
 
-    if not enter(control, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover):
+    if not enter(control, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover, level):
         return False
     control.release()
     return True

@@ -156,7 +156,7 @@ class Autopilot:
         return True
 
     def _start_angle(self, seen: Measured) -> None:
-        held = self.angle.thrust
+        held = self.angle.last_thrust
         self.angle.start(self.time_s, seen.yaw)
         self.angle.thrust = held  # not reset on re-entry to the mode
 

@@ -105,6 +105,11 @@ class AngleControl:
             self.thrust = self._thrust.popleft()[1].thrust
             self.positive_thrust = self.positive_thrust or self.thrust > 0.0
 
+    @property
+    def last_thrust(self) -> float | None:
+        """The thrust received last, also where it has not taken effect yet; None before the first."""
+        return self._thrust[-1][1].thrust if self._thrust else self.thrust
+
     def next_edge(self, t_s: float) -> float:
         """When the next target takes effect, s, or t_s when none does before it."""
         edge = t_s

@@ -1,0 +1,73 @@
+"""Steps near the ground over a link that takes its time: what a target that is held does, and with which throttle a mode begins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+from flighttest.flight import FlightOutcome, LegOutcome
+from flighttest.flight.execution.control import FlightControl
+from flighttest.flight.preparation.preflight import TIMEOUT_S
+from flighttest.frames import G_M_S2
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import dialect
+from flighttest.plan import AttitudeTarget, Plan
+from flighttest.recording.store import open_run, read_events
+from flighttest.sim import SimOptions
+from tests.faults.proxy import Fault, Proxy, When
+from tests.flight.faulty import GATE, GOOD, LIMITS, FaultyLink, fly, make_leg, make_plan, options
+
+
+@pytest.mark.parametrize("climb_m_s", [-0.6, -0.1, 0.1, 0.33, 0.6])
+def test_a_release_that_is_held_until_the_timeout_does_not_reverse_the_climb(climb_m_s: float) -> None:
+    """From a climb of 0.33 m/s the release asked for 0.38 of hover: held for 0.18 s that was a fall of 1.4 m/s, and a hit at 1 m/s."""
+    control = FlightControl.__new__(FlightControl)
+    control.session = mock.Mock(**{"clock.pace": 1.0})
+    control.gate, control.hover_throttle = GATE, GATE.hover_throttle
+    control.state = replace(GOOD, climb_m_s=climb_m_s, silence_s=0.0, uplink_silence_s=0.0)
+    pushed_m_s = G_M_S2 * (control.release_target().throttle / GATE.hover_throttle - 1.0) * TIMEOUT_S
+    assert pushed_m_s * climb_m_s < 0.0, "against the climb"
+    assert abs(pushed_m_s) <= abs(climb_m_s) + 1e-9
+
+
+def low_plan() -> Plan:
+    """Two steps from 0.7 m: up for 0.3 s, as `two_heights` flies them."""
+
+    def hop(t_s: float) -> AttitudeTarget:
+        return AttitudeTarget(t_s, 0.0, 0.0, 0.0, 0.21 if 0.3 <= t_s < 0.6 else 0.13 if t_s < 0.8 else 0.17)
+
+    legs = [replace(make_leg(name, hop, 1.2, "throttle_step"), start_m=(0.0, 0.0, 0.7)) for name in ("a", "b", "c")]
+    limits = replace(LIMITS, height_m=(0.3, 10.0))
+    plan = make_plan(*legs, limits=limits)
+    zone = replace(plan.vehicle.zone, z_m=(0.3, 10.0))
+    return replace(plan, vehicle=replace(plan.vehicle, zone=zone), reset=replace(plan.reset, to_m=(0.0, 0.0, 2.0)))
+
+
+def test_the_mode_begins_with_a_throttle_that_holds_the_height(run_dir: Path) -> None:
+    """It keeps that of the last target before, and the first one of the new step needs the way there and back."""
+    link = FaultyLink(options())
+    before: list[str] = []
+
+    def look(message: object, _t_s: float) -> None:
+        asked = getattr(message, "command", None) == dialect.MAV_CMD_DO_SET_MODE
+        if asked and message.param2 == CopterMode.GUIDED_NOGPS:  # type: ignore[attr-defined]
+            before.append(link.sent[-2][1])
+
+    link.hook = look
+    result = fly(make_plan(make_leg("a"), make_leg("b")), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert before == ["SET_ATTITUDE_TARGET"] * 2
+
+
+def test_low_steps_over_a_link_of_200_ms_do_not_end_on_the_ground(run_dir: Path) -> None:
+    """On ArduCopter over such a link the second step of `two_heights` was on the ground."""
+    late = Fault("100 ms each way", 300.0, latency_s=0.1)
+    proxy = Proxy(SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0), late, When.RETURNING)
+    result = fly(low_plan(), "proxy", run_dir, transport=proxy, clock=proxy.clock())
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.FLOWN] * 3
+    marks = [m.t_s for m in read_events(run_dir)[0] if m.kind == "phase"]
+    t_s, height_m = open_run(run_dir).channel("height_m")
+    assert height_m[(t_s > marks[0]) & (t_s < marks[-1] + 1.0)].min() > 0.4
