@@ -456,6 +456,8 @@ def test_what_a_take_over_left_out_can_be_flown_when_the_vehicle_is_down(call, s
     monkeypatch.setattr(flying, "fly", fly)
     _, out, _ = call("run", script, "--out", tmp_path / "runs", "--json")
     assert re.search(r"`flighttest run --resume \S+` flies them when the vehicle is down", out), out
+    _, out, _ = call("run", script, "--out", tmp_path / "runs", "--only", "fly")
+    assert " ".join(out.split()).count("nothing was sent after that") == 1, "it was said twice"
 
 
 def test_the_next_flight_is_printed_with_its_vehicle(tmp_path):

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import re
+import shlex
 import struct
 import sys
 import zlib
@@ -338,6 +339,28 @@ def test_what_is_to_be_copied_stays_whole():
     joined = " ".join(" ".join(lines).replace("\\ ", "").split())
     assert joined.count(run) == 2, "the shell joins what ends in a backslash"
     assert all(len(line) <= 80 for line in lines if path not in line and "y y" not in line)
+
+
+@pytest.mark.parametrize("width", range(40, 121, 5))
+def test_a_name_with_spaces_is_not_broken_where_it_is_quoted(width):
+    """`--resume 'v \\` and `r/2026-...'` on the next line: what was pasted named no folder."""
+    words = [
+        "flighttest",
+        "run",
+        "--resume",
+        "my  flights/2026-11-28T20-33-57-roll_pitch",
+        "it's",
+        "--set-params",
+        "--waive",
+        "fence",
+    ]
+    command = shlex.join(words)
+    text = drawn(
+        Document("t", "v", sections=(Section("s", "S", (Bullets((f"31 steps are missing: `{command}` flies.",)),)),)),
+        width,
+    )
+    pasted = text.split("`")[1]
+    assert shlex.split(pasted.replace("\\\n", "")) == words
 
 
 def test_the_first_two_sentences_of_the_verdict_are_large():

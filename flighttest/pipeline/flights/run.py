@@ -338,8 +338,10 @@ def _flown(
     """What `--only fly` shows: how the flights ended and where they are."""
     lines = [f"{ended.run_dir}: {_how_it_ended(plan, ended)}" for plan, ended in zip(plans, ends, strict=False)]
     blocks: list[PageBlock] = [Bullets(tuple(lines))]
-    if notes:
-        blocks.append(Bullets(tuple(notes)))
+    said = {f"{plan.script.name}: {ended.sentence}" for plan, ended in zip(plans, ends, strict=False)}  # above
+    more = tuple(note for note in notes if note not in said)
+    if more:
+        blocks.append(Bullets(more))
     verdict = "Recorded." if usable else "The flight did not end as planned; what was recorded is kept."
     verdict = record_lacks(ends) or verdict
     data = {

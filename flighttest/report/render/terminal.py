@@ -131,6 +131,9 @@ class _Prose:
                 head = " " * cell_len(head)
 
 
+_WORDS = re.compile(r"""(?:'[^']*'|"[^"]*"|\S)+""")  # of a command: what is in quotes is one word, with its spaces
+
+
 def _folded(text: str, available: int, command: bool = False) -> list[str]:
     """Lines of at most `available` cells, except where one word is longer: `text` broken between words, and within a command (the whole
     text, or in backticks) only where it is longer than a line, behind backslashes and with what follows two deeper."""
@@ -139,7 +142,7 @@ def _folded(text: str, available: int, command: bool = False) -> list[str]:
     for piece in [text.strip()] if command else re.split(r"(`flighttest [^`]*`\S*)", text.strip()):
         inside = command or piece.startswith("`")
         long = inside and cell_len(piece) > available
-        words = [piece] if inside and not long else piece.split()
+        words = [piece] if inside and not long else _WORDS.findall(piece) if inside else piece.split()
         for k, word in enumerate(words):
             end = " \\" if long and k < len(words) - 1 else ""
             if lines[-1] and cell_len(f"{lines[-1]} {word}{end}") > available and word != "\\":
