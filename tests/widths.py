@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 
 from rich.cells import cell_len
@@ -20,9 +21,10 @@ def drawn(document: Document, width: int, everything: bool = False) -> str:
 
 
 def too_long(line: str, width: int) -> bool:
-    """Whether a terminal of so many columns would have to break the line, and it is not one word (a path to be copied)."""
+    """Whether a terminal of so many columns would have to break the line, and it is not one word (a path to be copied, in quotes where it
+    has spaces)."""
     words = line.removesuffix(" \\").strip().removeprefix("- ")
-    return cell_len(line.rstrip()) > width and " " in words
+    return cell_len(line.rstrip()) > width and " " in words and re.fullmatch(r"'[^']*'\S*", words) is None
 
 
 def widest(table: Table) -> Table:
