@@ -49,4 +49,7 @@ class EffectSize:
         if any(size >= DRIFT.get(c, 0.0) or self.floors[c] >= LEAST_FLOORS for c, size in self.sizes.items()):
             return ""
         channel, size = max(self.sizes.items(), key=lambda kv: kv[1])
-        return f"its effect, {size:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
+        return (
+            f"its effect, {size:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by, and changes by "
+            f"{self.floors[channel]:.2g} of the noise of these flights"
+        )
