@@ -97,6 +97,7 @@ def test_a_twin_of_a_log_is_compared_on_its_recorded_commands(fitted, log):
     assert "comparing the twin with the recordings" in seen
 
 
+@pytest.mark.slow
 def test_a_log_becomes_a_run_and_is_listed(log_file, repository, tmp_path, capsys):
     made = ft.import_log(log_file, tmp_path / "runs" / "2026-01-01T00-00-00-roll_pitch")
     assert made.recording.has("roll_rad")

@@ -71,6 +71,7 @@ def test_where_nothing_is_missing_no_term_stands_out():
     assert np.median([s.p_value for s in found.values()]) > 0.1
 
 
+@pytest.mark.slow
 def test_every_term_of_the_translation_is_looked_at():
     seen = {t.id for t in POOL if acts_in(t, Model(), "translation")}
     assert {"quadratic_drag", "slung_payload", "velocity_latency", "motor_saturation", "thrust_extra_lag"} <= seen

@@ -165,6 +165,7 @@ def test_what_is_small_and_not_needed_in_the_end_leaves_the_model(monkeypatch):
     assert found.refused["attitude_offset"][1] == "beside the terms that joined later: it may be nothing"
 
 
+@pytest.mark.slow
 def test_a_term_whose_null_value_is_inside_its_interval_is_not_named(monkeypatch):
     """A vortex ring of 0.30 +- 0.31 was surely present in a flight that has none. What flights differ by makes no value nothing."""
     flown = stretches(tilted())

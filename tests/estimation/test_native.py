@@ -151,6 +151,7 @@ def test_a_compiler_that_fails_is_done_without(monkeypatch, tmp_path):
     assert list((tmp_path / "cache/flighttest").iterdir()) == []
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_c_library_without_vector_functions_is_done_with(monkeypatch, tmp_path):
     monkeypatch.setattr(native, "LIBRARIES", (("-lno_such_library",), native.LIBRARIES[-1]))
