@@ -5,6 +5,7 @@ import json
 import re
 import resource
 import shlex
+import shutil
 import signal
 import threading
 import time
@@ -31,7 +32,7 @@ from flighttest.pipeline.planning.checking import plans, predictor_for
 from flighttest.pipeline.results import Status
 from flighttest.pipeline.store import flown_with as repeating
 from flighttest.pipeline.store import resuming
-from flighttest.recording.store import open_run, read_manifest
+from flighttest.recording.store import is_remains, open_run, read_manifest
 from flighttest.report.sections.diagnosis import diagnosis_sections
 from flighttest.vehicle.model import DEFAULT_VEHICLE
 from tests.flight.faulty import LANDS_M_S
@@ -103,6 +104,9 @@ def test_a_flight_leaves_a_whole_run_folder(call, fitted, tmp_path):
         "fit.yaml",
         "report.html",
     } <= names
+    copy = shutil.copytree(run, tmp_path / "copy")
+    (copy / "manifest.yaml").unlink()
+    assert is_remains(copy), "the list of what a run folder holds names all of it"
     assert data["segments"] == {"used": 4, "of": 4}
     assert data["model"]["parameters"]["sigma_r"]["value"] == pytest.approx(21.54, rel=0.06)
     # In lock-step both ends share one clock: half a millisecond off would show.

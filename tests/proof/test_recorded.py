@@ -114,6 +114,18 @@ def test_an_accelerometer_off_the_centre_shows_rotations_behind_its_own_filter(f
     assert f[inside] == pytest.approx(arm * w * np.cos(w * (times[inside] - late_s)), abs=0.03 * arm * w)
 
 
+def test_where_a_gyroscope_was_not_recorded_no_turn_is_made_up():
+    """Across 4 s without a sample a spline of a turn of 3 Hz has accelerations that nothing showed: a line has 0.5 rad/s^2 at most."""
+    flown, arm = hovering(), 0.1
+    t = flown.series["rates"].t_s
+    kept = t[(t < 8.0) | (t > 12.0)]
+    still = dict.fromkeys(flown.series["rates"].columns, np.zeros(kept.size))
+    rates = Series(kept, {**still, "r_rad_s": np.sin(2 * np.pi * 3.0 * kept)})
+    flown = replace(flown, series={**flown.series, "rates": rates})
+    times, f = added({"imu_lever_arm": {"arm_x": arm, "arm_y": 0.0, "arm_z": 0.0}}, flown, steps=(SPAN,))["f_y_m_s2"]
+    assert np.max(np.abs(f[(times > 8.1) & (times < 11.9)])) < 0.5 * arm
+
+
 def test_a_rate_limit_slows_a_recorded_tilt():
     flown = hovering()
     reference = dict(flown.series["reference"].columns)

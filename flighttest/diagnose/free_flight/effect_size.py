@@ -25,19 +25,18 @@ class EffectSize:
     @staticmethod
     def of(without: Sequence[Stream], beside: Sequence[Stream]) -> EffectSize:
         """Of a term, by the residuals of the models without it and with it."""
+        flights: dict[str, dict[int, list[FloatArray]]] = {}
+        for a, b in zip(without, beside, strict=True):
+            n = min(a.residual.size, b.residual.size)
+            pair = np.stack([a.residual[:n] - b.residual[:n], b.residual[:n]])
+            flights.setdefault(b.channel, {}).setdefault(b.group, []).append(pair)
         sizes, floors = {}, {}
-        for channel in dict.fromkeys(s.channel for s in beside):
-            flights: dict[int, list[FloatArray]] = {}
-            for a, b in zip(without, beside, strict=True):
-                if b.channel == channel:
-                    n = min(a.residual.size, b.residual.size)
-                    flights.setdefault(b.group, []).append(np.stack([a.residual[:n] - b.residual[:n], b.residual[:n]]))
-            each = [np.concatenate(some, axis=1) for some in flights.values()]
-            sizes[channel] = float(np.sqrt(np.mean(np.concatenate(each, axis=1)[0] ** 2)))
-            varies, left = np.sqrt(
-                np.mean(np.concatenate([e - e.mean(axis=1, keepdims=True) for e in each], axis=1) ** 2, axis=1)
-            )
-            floors[channel] = float(varies / left) if left > 0.0 else np.inf
+        for channel, some in flights.items():
+            each = [np.concatenate(pairs, axis=1) for pairs in some.values()]
+            size, _ = _rms(each)
+            varies, left = _rms([pair - pair.mean(axis=1, keepdims=True) for pair in each])
+            sizes[channel] = size
+            floors[channel] = varies / left if left > 0.0 else np.inf
         return EffectSize(sizes, floors)
 
     def too_small(self) -> str:
@@ -53,3 +52,9 @@ class EffectSize:
             f"its effect, {size:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by, and changes by "
             f"{self.floors[channel]:.2g} of the noise of these flights"
         )
+
+
+def _rms(each: Sequence[FloatArray]) -> list[float]:
+    """Root mean square of each row of arrays (2, n), one after the other."""
+    found: list[float] = np.sqrt(np.mean(np.concatenate(each, axis=1) ** 2, axis=1)).tolist()
+    return found

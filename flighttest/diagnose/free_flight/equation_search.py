@@ -330,8 +330,8 @@ def _against(trial: _Trial, asked: ModelEstimates, candidates: int) -> str:
 
 
 def _ask_small_ones_again(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> None:
-    """Of terms that joined without a name, beside those that joined later: name what is large enough by now, and leave
-    out what is not needed."""
+    """Of terms that joined without a name, beside those that joined later: name what is large enough by now, and leave out
+    what is not needed."""
     for name in list(found.small):
         smaller = asked.estimate(found.final.model.without_terms(name), _shared(found.final.values))
         nats, effect = _nats(found.final, smaller), EffectSize.of(asked.streams(smaller), asked.streams(found.final))
