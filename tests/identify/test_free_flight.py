@@ -14,7 +14,8 @@ from flighttest.identify.fit import fit
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.identify.free_flight.chunks import Chunks
 from flighttest.identify.free_flight.equations import Equations
-from flighttest.identify.free_flight.estimate import mixture, prior_of
+from flighttest.identify.free_flight.estimate import prior_of
+from flighttest.identify.free_flight.estimated import mixture
 from flighttest.identify.free_flight.translation import predicted
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, any_wind, headings_of, winds, winds_of
 from flighttest.physics.catalogue import catalogue
@@ -177,9 +178,10 @@ def test_of_several_starts_the_best_optimum_is_found_and_what_leads_to_less_is_g
     """A slow motor after a long delay is an optimum of its own, 632 nats below."""
     limits = []
 
-    def noted(*asked, tolerances=None):
-        limits.append(tolerances)
-        return minimise(*asked, tolerances=tolerances)
+    def noted(*asked, tolerances=None, **others):
+        if not others:  # else from where the first ended
+            limits.append(tolerances)
+        return minimise(*asked, tolerances=tolerances, **others)
 
     monkeypatch.setitem(estimate.__globals__, "minimise", noted)
     good, poor = {"sigma_t": 60.0, "T_d_thrust": 0.02}, {"sigma_t": 15.0, "T_d_thrust": 0.28}

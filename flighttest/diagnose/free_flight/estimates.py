@@ -13,7 +13,7 @@ from flighttest.diagnose.free_flight.equation_screen import settings
 from flighttest.diagnose.selection.admissible import EstimatedModel, not_allowed_beside_others, unit_suffix
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.errors import FitError
-from flighttest.estimation.equation_error import Stream, beside_initial_states
+from flighttest.estimation.equation_error import Stream, beside_random_effects, without_levels
 from flighttest.estimation.linearisation import FloatArray
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.free_flight import FreeFlight, estimate
@@ -99,11 +99,11 @@ class ModelEstimates:
         return {"free": free, "per_flight": own, "priors": self.priors}
 
     def streams(self, found: FreeFlight) -> list[Stream]:
-        """Residuals and Jacobian of every stretch, of an estimate."""
+        """Residuals and Jacobian of every stretch, of an estimate: with what instruments are off by."""
         with np.errstate(all="ignore"):
             equations = Equations(found.model, self.flown, self.part)
             streams, _ = equations.streams(found.values, found.estimated, found.per_flight, found.initial)
-        return beside_initial_states(streams, found.noise)
+        return beside_random_effects(streams, without_levels(found.noise))
 
 
 def coefficients_of(found: FreeFlight, term: Term) -> list[int]:

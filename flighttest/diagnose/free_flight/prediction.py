@@ -12,7 +12,14 @@ from flighttest.diagnose.answer import SEED
 from flighttest.diagnose.model import short
 from flighttest.diagnose.records import HeldOutRow
 from flighttest.diagnose.selection.held_out import worse_in_more
-from flighttest.estimation.equation_error import Autoregression, Whitened, beside_initial_states, block_rows, whiten
+from flighttest.estimation.equation_error import (
+    Autoregression,
+    Whitened,
+    beside_random_effects,
+    block_rows,
+    whiten,
+    without_levels,
+)
 from flighttest.estimation.linearisation import FloatArray, inverse_of_gram
 from flighttest.identify.free_flight import FreeFlight
 from flighttest.identify.free_flight.equations import Equations
@@ -80,7 +87,8 @@ def _left_out(
         streams, columns = Equations(one.model, flown, one.part).streams(
             one.values, one.estimated, one.per_flight, one.initial
         )
-    streams = beside_initial_states(streams, one.noise)
+    varying = without_levels(one.noise)
+    streams = beside_random_effects(streams, varying)
     place = [columns.index(n) for n in one.names]
     count, kind = groups_left_out(one)
     rows = block_rows(one.seconds, one.period_s)
@@ -91,7 +99,7 @@ def _left_out(
         for k, (a, b) in enumerate(pairwise(cut_at)):
             group = s.group if kind == "flights" else k
             piece = replace(s, residual=s.residual[a:b], columns=s.columns[a:b][:, place], group=group)
-            parts.append(whiten([piece], dict(one.noise), rows))
+            parts.append(whiten([piece], varying, rows))
             pieces.append((s.channel, piece.residual, piece.columns, group))
     information = [p.information() for p in parts]
     made: dict[str, list[tuple[FloatArray, FloatArray, FloatArray]]] = {}

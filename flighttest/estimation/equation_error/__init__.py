@@ -6,15 +6,16 @@ sensors. With A(q) e_k = white (A autoregressive, of the residual itself), least
 consistent as long as A describes the noise and commands act after a delay, since A(q) r_k is then what could not be predicted from the past
 that the commands answer. Ordinary least squares, A = 1, is not.
 
-autoregression: the noise of an equation; initial_states: of what swings, as random effects; streams: equations over stretches of flight;
-least_squares: a step and its errors; lack_of_fit: what the equations get wrong.
+autoregression: the noise of an equation; initial_states: of what swings; random_effects: these, and what an instrument is off by;
+streams: equations over stretches of flight; least_squares: a step and its errors; lack_of_fit: what the equations get wrong.
 """
 
 from flighttest.estimation.equation_error.autoregression import Autoregression, autoregression
 from flighttest.estimation.equation_error.initial_states import InitialStates, PredictedStates
 from flighttest.estimation.equation_error.lack_of_fit import lack_of_fit, second_order
 from flighttest.estimation.equation_error.least_squares import Whitened, block_rows, heterogeneity, step, whiten
-from flighttest.estimation.equation_error.streams import Stream, beside_initial_states, log_scale, misfit_of, noises
+from flighttest.estimation.equation_error.random_effects import beside_random_effects, misfit_of, without_levels
+from flighttest.estimation.equation_error.streams import Stream, log_scale, noises
 
 __all__ = [
     "Autoregression",
@@ -23,7 +24,7 @@ __all__ = [
     "Stream",
     "Whitened",
     "autoregression",
-    "beside_initial_states",
+    "beside_random_effects",
     "block_rows",
     "heterogeneity",
     "lack_of_fit",
@@ -33,4 +34,5 @@ __all__ = [
     "second_order",
     "step",
     "whiten",
+    "without_levels",
 ]

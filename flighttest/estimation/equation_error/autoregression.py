@@ -21,10 +21,12 @@ LEAST_STRETCH = 4  # times as many samples as lags: a shorter stretch is left ou
 
 @dataclass(frozen=True)
 class Autoregression:
-    """A(q) = 1 + a_1 q^-1 + ...: `coefficients` (order + 1,), the first 1; std: of what is left, in the channel's unit."""
+    """A(q) = 1 + a_1 q^-1 + ...: `coefficients` (order + 1,), the first 1; std: of what is left, in the channel's unit. level: standard
+    deviation of what the channel is off by for all of a flight, in its unit (`random_effects`)."""
 
     coefficients: FloatArray
     std: float
+    level: float = 0.0
 
     @property
     def order(self) -> int:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.equation_error.autoregression import Autoregression
 from flighttest.estimation.equation_error.initial_states import PredictedStates, predictions_of
-from flighttest.estimation.equation_error.streams import Stream, predicted_states, whitened_rows
+from flighttest.estimation.equation_error.random_effects import marginal_rows
+from flighttest.estimation.equation_error.streams import Stream
 from flighttest.estimation.linearisation import inverse_of_gram
 
 FloatArray = NDArray[np.float64]
@@ -44,13 +45,12 @@ def block_rows(seconds: float, period_s: float) -> int:
 
 
 def whiten(streams: Sequence[Stream], noise: Mapping[str, Autoregression], rows_per_block: int) -> Whitened:
-    """Every stream by its channel's noise, beside its initial states (`initial_states`), whose predictions are rows as well. Blocks are
-    stretches of rows of one group, for standard errors that do not assume whiteness."""
+    """Every stream by its channel's noise, beside its random effects (`random_effects`); predictions of initial states are rows as well.
+    Blocks are stretches of rows of one group, for standard errors that do not assume whiteness."""
     used = [s for s in streams if s.residual.size]
     if not used:
         q, none = streams[0].columns.shape[1] if streams else 0, np.zeros(0, dtype=np.intp)
         return Whitened(np.zeros(0), np.zeros((0, q)), none, none, none.astype(np.str_), predictions_of([]))
-    made = [np.column_stack(whitened_rows(noise[s.channel], s)) for s in used]
     blocks = []
     starts: dict[tuple[str, int], int] = {}
     for s in used:
@@ -59,22 +59,16 @@ def whiten(streams: Sequence[Stream], noise: Mapping[str, Autoregression], rows_
         starts[s.channel, s.group] = begin + s.residual.size
         blocks.append((begin + np.arange(s.residual.size)) // rows_per_block)
     group, channel = [np.full(s.residual.size, s.group) for s in used], [s.channel for s in used]
-    states, along = predicted_states(used, noise, made)
-    begins: dict[int, tuple[int, int]] = {}  # of each number the stream and row that it begins at
-    for i, some in enumerate(along):
-        for one in some:
-            begins.setdefault(one.number, (i, one.rows.start))
-            made[i][one.rows] -= one.columns @ states.of(one.number)
-    for number, (i, row) in begins.items():
-        made.append(states.rows(number))
-        blocks.append(np.full(len(made[-1]), blocks[i][row]))
-        group.append(np.full(len(made[-1]), used[i].group))
+    made = marginal_rows(used, noise)
+    for (i, row), own in zip(made.begins.values(), made.rows[len(used) :], strict=True):
+        blocks.append(np.full(len(own), blocks[i][row]))
+        group.append(np.full(len(own), used[i].group))
         channel.append("")
-    rows, of, at = np.concatenate(made), np.concatenate(group), np.concatenate(blocks)
+    rows, of, at = np.concatenate(made.rows), np.concatenate(group), np.concatenate(blocks)
     many = np.zeros(of.max() + 1, dtype=np.intp)  # blocks of each group
     np.maximum.at(many, of, at + 1)
     at += (np.cumsum(many) - many)[of]
-    return Whitened(rows[:, 0], rows[:, 1:], of, at, np.repeat(channel, [len(m) for m in made]), states)
+    return Whitened(rows[:, 0], rows[:, 1:], of, at, np.repeat(channel, [len(m) for m in made.rows]), made.states)
 
 
 @dataclass(frozen=True)

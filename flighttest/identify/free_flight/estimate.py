@@ -16,6 +16,7 @@ driven by the past alone: by commands, which act after a delay, and by the veloc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -24,10 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError
+from flighttest.estimation.drift import LEVEL
 from flighttest.estimation.equation_error import (
     PredictedStates,
     Stream,
-    beside_initial_states,
+    beside_random_effects,
     block_rows,
     heterogeneity,
     lack_of_fit,
@@ -36,13 +38,14 @@ from flighttest.estimation.equation_error import (
     noises,
     step,
     whiten,
+    without_levels,
 )
 from flighttest.estimation.gauss_newton import Minimum, Space, Tolerances, minimise
 from flighttest.identify.dead_time import thrust_gain
 from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight.chunks import InitialValues
 from flighttest.identify.free_flight.equations import Equations
-from flighttest.identify.free_flight.estimated import FreeFlight
+from flighttest.identify.free_flight.estimated import FreeFlight, inflation_of, mixture
 from flighttest.identify.free_flight.stretches import most_moved
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
@@ -50,9 +53,8 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
-SETTLED = (
-    0.01  # relative change of the innovations' standard deviation, by which log likelihoods move a nat in 100 samples
-)
+# Relative change of the innovations' standard deviation, by which log likelihoods move a nat in 100 samples.
+SETTLED = 0.01
 ALPHA_STD = 0.5  # motors on a battery have 1 to 2
 DELAYS_S = (0.02, 0.08, 0.2)
 # Lags and delays that local optima are looked for from, by part of the model.
@@ -155,6 +157,7 @@ def covariance_at(
         _Asked(found.model, found.part, free, tuple(per_flight), dict(priors or {})),
         found.values,
         found.initial,
+        found.inflation,
     )
     objective.noise = dict(found.noise)
     at_null = np.array([null.get(c.split("@")[0], found.values[c]) for c in objective.columns])
@@ -182,26 +185,13 @@ def _with_lag(flown: Sequence[Segment], asked: _Asked, values: Mapping[str, floa
     return {**values, **{n: best[n] for n in (*starts[0], "K") if n in best}}
 
 
-def mixture(found: Sequence[FreeFlight]) -> FreeFlight:
-    """The best of several local optima of one model, with the covariance of their mixture about it: weights by the quasi-likelihood, log
-    likelihood over the inflation of its variance (McLachlan and Peel 2000, section 2.2)."""
-    reached = [one for one in found if np.isfinite(one.log_likelihood)]
-    if not reached:
-        return found[0]
-    best = max(reached, key=lambda one: one.log_likelihood)
-    weights = np.exp([(one.log_likelihood - best.log_likelihood) / best.inflation for one in reached])
-    apart = np.array([[one.values[n] - best.values[n] for n in best.names] for one in reached])
-    between = (apart * (weights / weights.sum())[:, None]).T @ apart
-    return replace(best, covariance=best.covariance + between)
-
-
 def _optima(equations: Equations, asked: _Asked, starts: Sequence[Mapping[str, float]]) -> list[FreeFlight]:
     """What each start leads to. One that leads to less than the best before it is given up on the way (`Tolerances.compared_with`)."""
     best = _minimised(equations, asked, starts[0])
     found = [best]
     for start in starts[1:]:
         limits = Tolerances(compared_with=best.log_likelihood)
-        one = _minimised(equations, asked, start, limits)
+        one = _minimised(equations, asked, start, limits, best.inflation)
         if limits.share * (one.log_likelihood - best.log_likelihood) > limits.decrease:
             one = best = _minimised(equations, asked, one.values)
         found.append(one)
@@ -209,10 +199,20 @@ def _optima(equations: Equations, asked: _Asked, starts: Sequence[Mapping[str, f
 
 
 def _minimised(
-    equations: Equations, asked: _Asked, values: Mapping[str, float], tolerances: Tolerances | None = None
+    equations: Equations,
+    asked: _Asked,
+    values: Mapping[str, float],
+    tolerances: Tolerances | None = None,
+    inflation: float = 0.0,
 ) -> FreeFlight:
-    objective = _PredictionErrors(equations, asked, values)
-    return objective.found(minimise(objective, objective.start(), objective.space, tolerances=tolerances))
+    """inflation: of `FreeFlight`; 0 where it is that of a first estimate, from which a second starts."""
+    objective = _PredictionErrors(equations, asked, values, inflation=max(inflation, 1.0))
+    found = objective.found(minimise(objective, objective.start(), objective.space, tolerances=tolerances))
+    if inflation or not objective.levels:
+        return found
+    objective = _PredictionErrors(equations, asked, found.values, found.initial, found.inflation)
+    again = minimise(objective, objective.start(), objective.space, tolerances=tolerances, least_iterations=1)
+    return objective.found(replace(again, iterations=found.iterations + again.iterations))
 
 
 @dataclass(frozen=True)
@@ -259,8 +259,9 @@ class _PredictionErrors:
         asked: _Asked,
         values: Mapping[str, float],
         initial: InitialValues | None = None,
+        inflation: float = 1.0,
     ) -> None:
-        self.equations, self.asked = equations, asked
+        self.equations, self.asked, self.inflation = equations, asked, inflation
         self.names = [n for n in equations.params if asked.free is None or n in asked.free]
         self.base = dict(values)
         own = [n for n in asked.per_flight if n in self.names]
@@ -273,10 +274,15 @@ class _PredictionErrors:
         self.space = Space(*(np.array([getattr(p, k) for p in params]) for k in ("lower", "upper", "scale")))
         self.mean, self.std = (np.array([asked.prior(c)[k] for c in self.columns]) for k in (0, 1))
         self.rows = block_rows(sum(float(np.ptp(s.t_s)) for s in equations.flown), equations.period_s)
-        self.noise, self.log_determinant = noises(self.first), 0.0
+        self.noise, self.log_determinant = noises(self.first, self.levels), 0.0
         self._learned: tuple[object, object] = self.first, self.noise  # residuals, and the noise of them
         self._known: tuple[object, object] = None, None  # residuals, and a noise, of which this is the misfit
         self._misfit = 0.0, 0.0
+
+    @property
+    def levels(self) -> dict[str, float]:
+        """Channel to the standard deviation of its level, over the root of what log likelihoods are divided by."""
+        return {c: std / math.sqrt(self.inflation) for c, std in LEVEL.items() if self.asked.part == "translation"}
 
     def start(self) -> _Point:
         """At the start values, inside the bounds."""
@@ -306,7 +312,7 @@ class _PredictionErrors:
         before = self.noise
         known = self._learned[0] is at.streams and self._learned[1] is self.noise
         if not known or any(s.initial for s in at.streams):
-            self.noise = noises(beside_initial_states(at.streams, self.noise))
+            self.noise = noises(beside_random_effects(at.streams, self.noise), self.levels)
             self._learned = at.streams, self.noise
         self.log_determinant = self._misfit_of(at)[1]
         return all(abs(self.noise[c].std / before[c].std - 1.0) < SETTLED for c in self.noise)
@@ -364,7 +370,7 @@ class _PredictionErrors:
             c for c, e, s in zip(self.columns, error, self.std, strict=True) if np.isfinite(s) and e > LEANS * s
         )
         channels = dict.fromkeys(s.channel for s in at.streams)
-        left = beside_initial_states(at.streams, self.noise)
+        left = beside_random_effects(at.streams, without_levels(self.noise))
         every = {c: np.concatenate([s.residual for s in left if s.channel == c]) for c in channels}
         return FreeFlight(
             self.asked.model, self.columns, self.values(at.theta), known.covariance, known.between, self.noise,
@@ -382,7 +388,7 @@ class _PredictionErrors:
         made = step(rows, self.mean - at.theta, self.std)
         own = np.array(["@" in c for c in self.columns])
         spread, extra = heterogeneity(rows, own, self.std)
-        lacks = lack_of_fit(beside_initial_states(at.streams, self.noise), self.noise)
+        lacks = lack_of_fit(beside_random_effects(at.streams, self.noise), self.noise)
         if self.asked.part == "translation":  # velocity and throttle drive all of it
             wrong = sum((lacks[c].ratio - 1.0) * ((x := rows.columns[rows.channel == c]).T @ x) for c in lacks)
         else:  # a moment of the air is driven by a velocity that is no state of the loops
@@ -391,10 +397,4 @@ class _PredictionErrors:
         robust = made.robust + known @ wrong @ known
         drift = np.diag([self.asked.model.param[c.split("@")[0]].drift ** 2 for c in self.columns])
         blocks = int(rows.block.max(initial=-1)) + 1
-        return _Errors(robust + extra + drift, extra, spread, _inflation(made.covariance, robust), blocks)
-
-
-def _inflation(model: FloatArray, robust: FloatArray) -> float:
-    known = np.isfinite(np.diag(robust)) & np.isfinite(np.diag(model)) & (np.diag(model) > 0.0)
-    ratio = np.diag(robust)[known] / np.diag(model)[known]
-    return max(float(np.median(ratio)), 1.0) if ratio.size else 1.0
+        return _Errors(robust + extra + drift, extra, spread, inflation_of(made.covariance, robust), blocks)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,3 +86,23 @@ class FreeFlight:
     def std(self) -> dict[str, float]:
         """Standard error of each estimated parameter."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def mixture(found: Sequence[FreeFlight]) -> FreeFlight:
+    """The best of several local optima of one model, with the covariance of their mixture about it: weights by the quasi-likelihood, log
+    likelihood over the inflation of its variance (McLachlan and Peel 2000, section 2.2)."""
+    reached = [one for one in found if np.isfinite(one.log_likelihood)]
+    if not reached:
+        return found[0]
+    best = max(reached, key=lambda one: one.log_likelihood)
+    weights = np.exp([(one.log_likelihood - best.log_likelihood) / best.inflation for one in reached])
+    apart = np.array([[one.values[n] - best.values[n] for n in best.names] for one in reached])
+    between = (apart * (weights / weights.sum())[:, None]).T @ apart
+    return replace(best, covariance=best.covariance + between)
+
+
+def inflation_of(model: FloatArray, robust: FloatArray) -> float:
+    """Of covariances (q, q) by the information alone and robust: `FreeFlight.inflation`."""
+    known = np.isfinite(np.diag(robust)) & np.isfinite(np.diag(model)) & (np.diag(model) > 0.0)
+    ratio = np.diag(robust)[known] / np.diag(model)[known]
+    return max(float(np.median(ratio)), 1.0) if ratio.size else 1.0
