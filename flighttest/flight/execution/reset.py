@@ -138,6 +138,11 @@ def _timeout_s(state: VehicleState, start: LegStart) -> float:
     return _TIMEOUT_BASE_S + start.settle_s + distance / _SLOWEST_M_S
 
 
+def hold_place(control: FlightControl, start: LegStart) -> None:
+    """Ask GUIDED once for a leg's start."""
+    control.vehicle.go_to(np.asarray(start.position_m) + control.reader.origin_m, start.yaw_rad)
+
+
 def guided(control: FlightControl, start: LegStart) -> Arrived:
     """By GUIDED's own position control."""
 
@@ -149,7 +154,6 @@ def guided(control: FlightControl, start: LegStart) -> Arrived:
     if not enter(control, CopterMode.GUIDED, meanwhile=hold):
         return Arrived(Arrival.NO_GUIDED)
     settling = Settling(start)
-    goal = np.asarray(start.position_m) + control.reader.origin_m
     deadline = control.session.now_s() + _timeout_s(control.state, start)
     next_ask = -math.inf
     while control.session.now_s() < deadline:
@@ -163,7 +167,7 @@ def guided(control: FlightControl, start: LegStart) -> Arrived:
         now = control.session.now_s()
         if now >= next_ask and control.state.mode_age_s < UNSEEN_S:
             # Streamed: without a new one within GUID_TIMEOUT (0.2 s here) ArduPilot stops turning to the heading (flown).
-            control.vehicle.go_to(goal, start.yaw_rad)
+            hold_place(control, start)
             next_ask = now + _ASK_AGAIN_S
         state = control.cycle()
         if state.mode_age_s > UNSEEN_S:

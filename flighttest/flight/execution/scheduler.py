@@ -252,7 +252,7 @@ class Scheduler:
         if self._plan_is_due():
             self._plan_again()
             return None
-        if not supervisor.enter_nogps(control):
+        if not supervisor.enter_nogps(control, lambda: reset.hold_place(control, self._start_of(leg))):
             return LegResult(leg.id, LegOutcome.NOT_SETTLED, (Arrival.NO_NOGPS.value,))
         self._show(leg, remaining, "flying")
         trace = ThrottleTrace(control.hover_throttle, self.airframe.angle_boost)
@@ -307,15 +307,17 @@ class Scheduler:
         lost = lost_control(self.control.state, self.control.gate) if self.plan.reset.by != "pilot" else ()
         if lost:
             return reset.Arrived(Arrival.REFUSED, refused=lost)
-        world = self.control.gate.zone.to_world(leg.start_m)
-        start = reset.LegStart(
-            (float(world[0]), float(world[1]), float(world[2])), leg.heading_rad, self.plan.reset.settle_s
-        )
+        start = self._start_of(leg)
         if self.plan.reset.by == "guided":
             return reset.guided(self.control, start)
         if self.plan.reset.by == "attitude":
             return reset.reset_by_attitude(self.control, start, self.airframe.angle_boost)
         return reset.by_pilot(self.control)
+
+    def _start_of(self, leg: Leg) -> reset.LegStart:
+        world = self.control.gate.zone.to_world(leg.start_m)
+        place = (float(world[0]), float(world[1]), float(world[2]))
+        return reset.LegStart(place, leg.heading_rad, self.plan.reset.settle_s)
 
     def _use_hover(self, measured: float | None) -> None:
         stated = self.plan.vehicle.hover_throttle

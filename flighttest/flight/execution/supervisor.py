@@ -180,16 +180,20 @@ def enter(
         meanwhile()
 
 
-def enter_nogps(control: FlightControl) -> bool:
+def enter_nogps(control: FlightControl, hold: Callable[[], None] = lambda: None) -> bool:
     """Into GUIDED_NOGPS, which keeps the throttle of the last attitude target until the next one, for the time that a link takes there and
     back (0.1 of full throttle over 0.2 s: 0.6 m/s down, flown). In GUIDED, which takes attitude targets, too, a level target with the
     throttle that holds height goes before the request; level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.
+
+    hold: asks GUIDED for the present place, called between that target and the request: where the request is lost, GUIDED goes on holding
+    its place (level, it drifted 2.2 m in 2.6 s with 8 m/s of wind, flown). The throttle of the target is kept.
     """
     asked_s = control.session.now_s()
 
     def level() -> None:
         if control.state.mode == CopterMode.GUIDED:
             control.release()
+            hold()
 
     def hover() -> None:
         ack = control.session.latest.get("COMMAND_ACK")
