@@ -9,7 +9,7 @@ from pathlib import Path
 from flighttest.errors import RecordingError
 from flighttest.mavlink.dialect import dialect, vehicle_kind
 
-_REFUSED = frozenset({
+NO_MULTIROTORS = frozenset({
     dialect.MAV_TYPE_FIXED_WING, dialect.MAV_TYPE_GROUND_ROVER, dialect.MAV_TYPE_SURFACE_BOAT, dialect.MAV_TYPE_SUBMARINE,
     dialect.MAV_TYPE_AIRSHIP,
 })  # fmt: skip
@@ -36,7 +36,7 @@ def refuse_by_firmware(path: Path, firmware: str, parameters: Mapping[str, float
 
 def refuse_by_type(path: Path, mav_type: int, parameters: Mapping[str, float]) -> None:
     """The same by the type in HEARTBEAT, in which ArduPilot's quadplanes are fixed-wing aircraft."""
-    if mav_type in _REFUSED and not parameters.get("Q_ENABLE"):
+    if mav_type in NO_MULTIROTORS and not parameters.get("Q_ENABLE"):
         _refuse(path, vehicle_kind(mav_type), f"type {mav_type} in its HEARTBEAT")
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
 from flighttest.errors import FlighttestError, LinkError, PreflightError
 from flighttest.mavlink.dialect import dialect, parser
+from flighttest.mavlink.signing import make_key
+from flighttest.pipeline.flights.fetching import fetch_log, refuse_unreadable
 from flighttest.pipeline.vehicles.live import hello, read_vehicle
+from flighttest.pipeline.vehicles.signing import sign
+from flighttest.sim import SimOptions, start_simulator
 from tests.flight.faulty import FaultyLink, fly, make_plan, options
 
 OTHERS = [
@@ -93,3 +99,47 @@ def test_status_and_doctor_do_not_call_it_arducopter(
     with pytest.raises(LinkError, match=kind):
         ask("tcp:127.0.0.1:1")  # type: ignore[operator]
     assert {message for _, message in link.sent} <= {"HEARTBEAT", "TIMESYNC"}
+
+
+@pytest.mark.parametrize(("mav_type", "kind"), OTHERS[1:5])
+def test_no_log_is_downloaded_that_no_import_takes(
+    mav_type: int, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rover's log was downloaded for minutes, and refused then."""
+    link = other(mav_type)
+    monkeypatch.setattr("flighttest.link.onboard.logs.open_transport", lambda _url: link)
+    with pytest.raises(LinkError, match=kind):
+        fetch_log("tcp:127.0.0.1:1", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+    assert {message for _, message in link.sent} <= {"HEARTBEAT", "TIMESYNC"}
+
+
+@pytest.mark.parametrize("quadplane", [False, True])
+def test_a_quadplanes_log_is_downloaded(quadplane: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flighttest.pipeline.flights.fetching.read_parameter", lambda _s, _name: float(quadplane))
+    beat = dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_FIXED_WING, 3, 0, 0, 0, 3)
+    with nullcontext() if quadplane else pytest.raises(LinkError, match="a fixed-wing aircraft"):
+        refuse_unreadable(mock.Mock(), beat)
+
+
+@pytest.mark.parametrize(("mav_type", "kind"), [*OTHERS, (dialect.MAV_TYPE_HELICOPTER, "a helicopter")])
+def test_another_kind_of_vehicle_gets_no_key(
+    mav_type: int, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An aeroplane took the key, and answered its own ground station no more."""
+    link = other(mav_type)
+    monkeypatch.setattr("flighttest.pipeline.vehicles.signing.open_transport", lambda _url: link)
+    with pytest.raises(LinkError, match=kind):
+        sign("tcp:127.0.0.1:1", tmp_path / "key")
+    assert not (tmp_path / "key").exists()
+    assert {message for _, message in link.sent} <= {"HEARTBEAT", "TIMESYNC"}
+
+
+def test_a_key_is_taken_away_from_any_vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What has the key was given it, and is to be had back."""
+    monkeypatch.setattr("flighttest.flight.preparation.preflight.vehicle_kind", lambda _type: "a rover")
+    key = make_key(tmp_path / "key")
+    with start_simulator(SimOptions(speed=10.0, signing_key=key.hex()), in_thread=True) as vehicle:
+        assert sign(vehicle.url, tmp_path / "key", remove=True).data["signs"] is False
+        with pytest.raises(LinkError, match="a rover"):
+            sign(vehicle.url, tmp_path / "another")

@@ -53,15 +53,17 @@ def fetch(
     number: int | None = None,
     on_progress: Callable[[float], None] | None = None,
     key: bytes | None = None,
+    on_connected: Callable[[Session, Message], None] = lambda _session, _beat: None,
 ) -> OnboardLog:
     """Download one onboard log (the newest, or the one numbered so) into the file `target`.
 
-    on_progress: called with the share done, 0..1. key: of MAVLink 2 signing. LinkError when nothing answers, the vehicle has no logs, or
-    the download stops; what arrived until then stays beside the target, and the next call goes on from there.
+    on_progress: called with the share done, 0..1. key: of MAVLink 2 signing. on_connected: called with the vehicle's first HEARTBEAT,
+    before anything is asked of it. LinkError when nothing answers, the vehicle has no logs, or the download stops; what arrived until
+    then stays beside the target, and the next call goes on from there.
     """
     session = Session(MavlinkPort(open_transport(full_url(url)), key=key))
     try:
-        session.connect()
+        on_connected(session, session.connect())
         return LogDownload(session).fetch(target, number, on_progress or (lambda _share: None))
     finally:
         session.port.close()

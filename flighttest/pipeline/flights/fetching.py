@@ -5,7 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from flighttest.errors import InputError
+from flighttest.flight.preparation.preflight import refuse_other_vehicles
 from flighttest.link.onboard import fetch
+from flighttest.link.parameters import read_parameter
+from flighttest.link.session import Session
+from flighttest.logs.other_vehicles import NO_MULTIROTORS
+from flighttest.mavlink.dialect import Message, dialect
 from flighttest.mavlink.signing import read_key
 from flighttest.pipeline.recordings.sources import open_recording
 from flighttest.pipeline.results import SILENT, Progress, Result
@@ -35,7 +40,7 @@ def fetch_log(
             words = tenth
             progress.stage(f"downloading: {tenth * 10} %")
 
-    log = fetch(url, path, number, report, read_key(key) if key is not None else None)
+    log = fetch(url, path, number, report, read_key(key) if key is not None else None, refuse_unreadable)
     if not is_file and not (output / MANIFEST_NAME).exists():
         progress.stage("reading the log")
         write_recording(output, open_recording(path))
@@ -47,3 +52,11 @@ def fetch_log(
     }
     document = Document("fetch-log", f"Log {log.number} is in {path}.", "good", (), facts)
     return Result(document, {"file": str(path), "number": log.number, "date": log.date, "size_bytes": log.size_bytes})
+
+
+def refuse_unreadable(session: Session, beat: Message) -> None:
+    """LinkError for a vehicle whose log no import takes, before minutes of a download. A quadplane's HEARTBEAT is a fixed-wing
+    aircraft's, and its log is taken."""
+    quadplane = beat.type == dialect.MAV_TYPE_FIXED_WING and read_parameter(session, "Q_ENABLE")
+    if beat.type in NO_MULTIROTORS and not quadplane:
+        refuse_other_vehicles(beat)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from flighttest.errors import LinkError
+from flighttest.flight.preparation.preflight import refuse_other_vehicles
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
@@ -20,10 +21,12 @@ _SETTLE_S = 1.0
 
 
 @contextmanager
-def _talk(url: str, key: bytes | None) -> Iterator[Session]:
+def _talk(url: str, key: bytes | None, *, any_vehicle: bool = False) -> Iterator[Session]:
     session = Session(MavlinkPort(open_transport(url), key=key))
     try:
-        session.connect()
+        beat = session.connect()
+        if not any_vehicle:
+            refuse_other_vehicles(beat)
         yield session
     finally:
         session.port.close()
@@ -44,12 +47,13 @@ def _takes(url: str, key: bytes) -> bool:
 
 
 def sign(url: str, path: Path, remove: bool = False, progress: Progress = SILENT) -> Result:
-    """Give the vehicle at `url` the key in `path` (made where there is none), or take it away. LinkError where it does not take it."""
+    """Give the vehicle at `url` the key in `path` (made where there is none), or take it away. LinkError where it does not take it, or
+    where it is no multirotor: from any vehicle a key is only taken away."""
     known = read_key(path) if remove or path.exists() else None
     if remove and known is not None:
-        with _talk(url, known) as session:
+        with _talk(url, known, any_vehicle=True) as session:
             _send(session, bytes(KEY_BYTES))
-        with _talk(url, None) as session:
+        with _talk(url, None, any_vehicle=True) as session:
             if session.offset is None:
                 raise LinkError("the vehicle still takes signed frames only", "try again over its USB port")
         return _result(f"The vehicle at {url} takes unsigned frames again.", url, path, False)
