@@ -9,7 +9,8 @@ import pytest
 
 from flighttest.errors import PreflightError
 from flighttest.flight import FlightOutcome
-from tests.flight.faulty import FaultyLink, fly, make_plan, options
+from flighttest.mavlink import CopterMode
+from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 
 def test_the_checklist_names_what_the_operator_answers_for(run_dir: Path) -> None:
@@ -51,6 +52,25 @@ def test_ctrl_c_at_the_question_arms_nothing(run_dir: Path) -> None:
     with pytest.raises(PreflightError, match="did not confirm"):
         fly(make_plan(), "sim", run_dir, transport=link, confirm=answer, stop_requested=lambda: len(pressed))
     assert not link.sim.vehicle.armed
+
+
+@pytest.mark.parametrize(("before_s", "named"), [(2.0, True), (3.6, False)])
+def test_a_message_just_before_a_change_of_mode_is_its_reason(run_dir: Path, before_s: float, named: bool) -> None:
+    """The fence and the failsafes state it with the change; an older message is about something else."""
+    link = FaultyLink(options())
+    said: list[float] = []
+
+    def warn_and_switch(message: object, now: float) -> None:
+        if not said and message.get_type() == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            said.append(now)
+            link.sim.vehicle.say("Radio Failsafe", 4)
+        if said and now >= said[0] + before_s:
+            link.sim.vehicle.set_mode(CopterMode.LOITER)
+
+    link.hook = warn_and_switch
+    result = fly(make_plan(make_leg("a"), make_leg("b"), make_leg("c")), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.TAKE_OVER
+    assert any("Radio Failsafe" in note for note in result.notes) is named
 
 
 @pytest.mark.parametrize(("text", "severity"), [("Radio Failsafe", 4), ("Max Alt fence breached", 5)])
