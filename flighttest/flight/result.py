@@ -8,6 +8,7 @@ from pathlib import Path
 
 from flighttest.flight.execution.machine import FlightState
 from flighttest.flight.outcome import FlightOutcome, LegOutcome, LegResult
+from flighttest.mavlink import CopterMode
 from flighttest.recording.store import read_events
 
 
@@ -29,7 +30,15 @@ class FlightResult:
     @property
     def sentence(self) -> str:
         """Why the flight ended and how it left the vehicle."""
-        return f"{self.outcome.value}; {self.left.value.format(mode=self.mode or 'no mode')}"
+        return f"{self.outcome.value}; {self.how_left}"
+
+    @property
+    def how_left(self) -> str:
+        """How the flight left the vehicle."""
+        words = self.left.value.format(mode=self.mode or "no mode")
+        # ArduCopter's fence and its failsafes choose BRAKE, in which the sticks do nothing.
+        holds = self.left is FlightState.WITH_PILOT and self.mode == CopterMode.BRAKE.name
+        return f"{words}, which holds it in the air until the mode switch is moved" if holds else words
 
     @property
     def as_planned(self) -> bool:

@@ -182,7 +182,10 @@ def test_a_vehicle_that_crosses_it_is_braked(run_dir: Path) -> None:
     result = fly(make_plan(), "sim", run_dir, transport=link, on_progress=lambda p: alarms.append(p.alarm))
     assert result.outcome is FlightOutcome.TAKE_OVER
     assert link.sim.vehicle.mode == CopterMode.BRAKE
-    assert 'BRAKE after the vehicle\'s message "Polygon fence breached"' in result.notes, "the answer names the fence"
+    assert 'the mode became BRAKE after the vehicle\'s message "Polygon fence breached"' in result.notes, (
+        "the answer names the fence"
+    )
+    assert result.sentence.endswith("in BRAKE, which holds it in the air until the mode switch is moved")
     assert any(a.startswith('in BRAKE (after the vehicle\'s message "Polygon fence breached")') for a in alarms)
     assert any("Polygon fence breached" in line for line in (run_dir / "events.jsonl").read_text().splitlines())
 

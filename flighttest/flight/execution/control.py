@@ -239,7 +239,8 @@ class FlightControl:
             self.alarm(f"in {mode_name(shown.mode)} ({who}): nothing is sent any more; {self._to_do}")
         elif not self._landing:
             self.recorder.event("note", "disarmed in flight", t_s)
-        self.on(shown.event, f"{mode_name(shown.mode) if self.taken_over else 'disarmed'} {why}" if why else "")
+        what = f"the mode became {mode_name(shown.mode)}" if self.taken_over else "disarmed"
+        self.on(shown.event, f"{what} {why}" if why else "")
 
     def _said_before(self, t_s: float) -> str:
         """The vehicle's warnings just before a change that others caused, which may be its reason; else ''."""

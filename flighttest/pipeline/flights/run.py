@@ -18,7 +18,7 @@ from flighttest.identify.models.model_file import ModelFile
 from flighttest.link.transport import open_transport
 from flighttest.pipeline.flights.after_landing import Landed, analyse
 from flighttest.pipeline.flights.interrupts import counted_interrupts
-from flighttest.pipeline.flights.missing import record_lacks, resume_command, unlike_the_plan
+from flighttest.pipeline.flights.missing import first_news, resume_command, unlike_the_plan
 from flighttest.pipeline.planning.checking import plans, prior_model
 from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.pipeline.recordings.fingerprints import of_vehicle
@@ -243,9 +243,10 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         why = f"not analysed: {error.message if isinstance(error, FlighttestError) else error.strerror or error}"
         progress.stage(why)
         return _flown(compiled, folders, ends, [*notes, why], False)
-    if not record_lacks(ends):
+    first = first_news(ends)
+    if not first:
         return found
-    page = replace(found.document, verdict=f"{record_lacks(ends)} {found.document.verdict}", tone="bad")
+    page = replace(found.document, verdict=f"{first} {found.document.verdict}", tone="bad")
     return replace(found, document=page)
 
 
@@ -343,7 +344,7 @@ def _flown(
     if more:
         blocks.append(Bullets(more))
     verdict = "Recorded." if usable else "The flight did not end as planned; what was recorded is kept."
-    verdict = record_lacks(ends) or verdict
+    verdict = first_news(ends) or verdict
     data = {
         "runs": [str(f) for f in folders],
         "flights": [
