@@ -55,6 +55,32 @@ def test_a_log_of_a_vehicle_that_stands_has_no_flight_in_it(tmp_path):
     assert said.startswith("A recording of 20 s with no flight in it")
 
 
+@pytest.mark.parametrize(("correlated", "said"), [(0.85, True), (0.95, False)])
+def test_a_command_that_is_not_followed_is_named(correlated, said, tmp_path):
+    """A flight with a mechanical failure, whose pitch has 0.78, had a page without a word about it."""
+    from flighttest.pipeline.identification.showing import show
+
+    t, rng = np.arange(0.0, 40.0, 0.02), np.random.default_rng(1)
+    asked = 0.1 * np.sin(2 * np.pi * 0.4 * t)
+    noise = asked.std() * np.sqrt(1.0 / correlated**2 - 1.0) * rng.standard_normal(t.size)
+    still, flies = np.zeros(t.size), (t > 2.0) & (t < 38.0)
+    columns = {
+        "t_s": t,
+        "pitch_rad": asked + noise,
+        "pitch_ref_rad": asked,
+        "roll_rad": still,
+        "f_z_m_s2": still + 9.81,
+    }
+    columns |= {"throttle": np.where(flies, 0.3, 0.0), "height_m": np.where(flies, 5.0, 0.0)}
+    table = tmp_path / "flight.csv"
+    np.savetxt(table, np.stack(list(columns.values()), axis=1), delimiter=",", header=",".join(columns), comments="")
+    page = tmp_path / "page.html"
+    result = show(table, page)
+    (found,) = result.data["followed"]
+    assert (found["correlation"] < 0.9) is said
+    assert ("pitch follows its command with a correlation of 0.8" in page.read_text()) is said
+
+
 def test_the_page_is_offline_and_holds_every_channel(shown):
     text = shown[1].read_text()
     outside = re.sub(r"<script[^>]*>.*?</script>", "", text, flags=re.DOTALL)

@@ -59,3 +59,29 @@ def test_modes_have_their_times_and_the_battery_its_numbers():
     found = health.battery_course(Recording("r", {**r.series, "battery": battery}, (), r.provenance))
     assert found.first_v == 25.0
     assert found.drawn_ah == pytest.approx(36.0 * 39.9 / 3600.0)
+
+
+def flown(correlated: float, size_rad: float = 0.1, late_s: float = 0.1):
+    """A pitch that answers its command so much later, with noise that makes their correlation so."""
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 60.0, 0.02)
+    asked = size_rad * np.sin(2 * np.pi * 0.4 * t) * np.sign(np.sin(0.9 * t))
+    answer = np.interp(t - late_s, t, asked)
+    noise = answer.std() * np.sqrt(1.0 / correlated**2 - 1.0) * rng.standard_normal(t.size)
+    series = {
+        "attitude": Series(t, {"pitch_rad": answer + noise}),
+        "reference": Series(t, {"pitch_ref_rad": asked, "throttle": np.full(t.size, 0.3)}),
+    }
+    return Recording("r", series, (), Provenance("a", "table"))
+
+
+@pytest.mark.parametrize("correlated", [0.7, 0.85, 0.97])
+def test_how_a_channel_follows_its_command_is_measured_at_its_delay(correlated):
+    (found,) = health.following(flown(correlated))
+    assert (found.channel, found.reference) == ("pitch_rad", "pitch_ref_rad")
+    assert found.correlation == pytest.approx(correlated, abs=0.015)
+    assert found.delay_s == pytest.approx(0.1, abs=0.021)
+
+
+def test_a_command_too_small_to_be_followed_is_not_judged():
+    assert health.following(flown(0.5, size_rad=0.01)) == ()

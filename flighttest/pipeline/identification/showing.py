@@ -40,7 +40,7 @@ from flighttest.report.sections import fit as fit_sections
 from flighttest.report.sections.show import Look, ParameterOutlook, excitation_sentence, sections
 from flighttest.segments import Segment, cut
 from flighttest.segments.airborne import flights, takeoffs
-from flighttest.segments.health import at_limits, battery_course, in_flight, modes, sampling, spectra
+from flighttest.segments.health import at_limits, battery_course, following, in_flight, modes, sampling, spectra
 from flighttest.version import __version__
 
 GROUP_WORDS = {"reference": "command"}
@@ -87,8 +87,9 @@ def looked(recording: Recording, segments: Sequence[Segment], named: str, column
         resistance if isinstance(resistance, str) else f"internal resistance {number(1000 * resistance[0], 3)} mΩ"
     )
     return Look(
-        recording, sampling(recording), at_limits(recording), spectra(recording), compatible, battery_course(recording), resistance_text,
-        modes(recording), flights(recording), _figures(recording, segments), outlook, why, _commands(outlook, named, columns),
+        recording, sampling(recording), at_limits(recording), following(recording), spectra(recording), compatible,
+        battery_course(recording), resistance_text, modes(recording), flights(recording), _figures(recording, segments), outlook, why,
+        _commands(outlook, named, columns),
     )  # fmt: skip
 
 
@@ -236,6 +237,7 @@ def _data(look: Look, page: Path, verdict: str, losses: Sequence[str]) -> dict[s
         "verdict": verdict,
         "sampling": plain([asdict(s) for s in look.sampling]),
         "limits": plain([asdict(s) for s in look.limits]),
+        "followed": plain([asdict(s) for s in look.followed]),
         "vibration": [{"channel": s.channel, "rms": plain(s.rms), "peak_hz": s.peak_hz} for s in look.spectra],
         "compatibility": plain(look.compatibility),
         "battery": plain(look.battery),

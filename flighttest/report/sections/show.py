@@ -28,7 +28,7 @@ from flighttest.report.document import (
 from flighttest.report.numbers import duration, number, percent, unit
 from flighttest.report.packing import coarse
 from flighttest.segments.compatibility import AccelerometerBias, Compatibility
-from flighttest.segments.health import AtLimit, BatteryCourse, Sampling, Spectrum
+from flighttest.segments.health import FOLLOWED, AtLimit, BatteryCourse, Followed, Sampling, Spectrum
 
 # Standard deviation of vibration: "below 30 m/s/s normally acceptable, above 60 nearly always problems" (ArduPilot, Measuring Vibration).
 VIBRATION_M_S2 = 30.0
@@ -57,6 +57,7 @@ class Look:
     recording: Recording
     sampling: tuple[Sampling, ...]
     limits: tuple[AtLimit, ...]
+    followed: tuple[Followed, ...]
     spectra: tuple[Spectrum, ...]
     compatibility: Compatibility | None
     battery: BatteryCourse | None
@@ -258,6 +259,7 @@ def health(look: Look) -> Section:
         )
     if not look.limits:
         lines.append("no command and no sensor stays at a limit in flight")
+    lines += [_not_followed(one) for one in look.followed if one.correlation < FOLLOWED]
     b = look.battery
     if b is None:
         lines.append("battery: no voltage was recorded")
@@ -274,6 +276,16 @@ def health(look: Look) -> Section:
     if source.derived:
         blocks.append(Bullets(tuple(f"{name}: {how}" for name, how in source.derived.items())))
     return Section("health", "Health of the recording", tuple(blocks))
+
+
+def _not_followed(one: Followed) -> str:
+    """What is said of a channel that does not do what was asked for."""
+    when = f"{number(one.delay_s, 2)} s later, over {number(one.span_s, 2)} s of flight"
+    return (
+        f"{word(one.channel)} follows its command with a correlation of {one.correlation:.2f} at best ({when}), a sound vehicle with more "
+        "than 0.95: before a fit look at both in the plot of channels (a motor at its limit or damaged, gusts, or a command that the "
+        "autopilot shapes before it acts)"
+    )
 
 
 def _compatible(found: Compatibility) -> str:
