@@ -274,6 +274,34 @@ def test_position_targets_in_both_frames(bare):
     assert math.hypot(c.motion.px, c.motion.py) < 0.5
 
 
+def low_throttle_then_guided(bare):
+    """A vehicle in the air, in GUIDED, whose last attitude target was a stop's; and the throttle with which it hovers."""
+    c = bare.Client(**bare.QUIET)
+    hover = c.airborne(6.0)
+    c.run(0.3, lambda: c.target(throttle=0.3 * hover))
+    assert c.mode(GUIDED) == 0
+    return c, hover
+
+
+def test_guided_does_not_go_on_with_the_attitude_target_of_the_mode_before(bare):
+    """It flew the throttle of a stop until GUID_TIMEOUT: 3 s, to the ground."""
+    c, _ = low_throttle_then_guided(bare)
+    c.run(2.0)
+    assert c.motion.pz > 4.0
+    assert abs(c.motion.vz) < 0.5
+
+
+def test_an_attitude_target_in_guided_has_its_own_throttle_from_the_start(bare):
+    """For the delay of a target it flew with the throttle of the last one before GUIDED: that of a stop, with which it fell."""
+    c, hover = low_throttle_then_guided(bare)
+    c.run(5.0)
+    height, climb = c.motion.pz, c.motion.vz
+    c.target(throttle=hover)
+    c.run(0.1)  # as long as the delay
+    assert abs(c.motion.vz - climb) < 0.05
+    assert c.motion.pz == pytest.approx(height, abs=0.02)
+
+
 def test_a_landed_vehicle_with_an_empty_battery_gets_a_full_one(bare):
     c = bare.Client(**bare.QUIET, voltage_v=22.6)
     c.airborne(2.0)

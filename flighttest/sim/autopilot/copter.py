@@ -152,6 +152,7 @@ class Autopilot:
         seen = self.measured()
         self.navigator.enter(mode, seen)
         self._start_angle(seen)
+        self.angle.chosen = mode == modes.GUIDED_NOGPS  # GUIDED begins with holding its place (ModeGuided::init)
         self.outbox.append(telemetry.heartbeat(self))
         return True
 

@@ -59,8 +59,8 @@ def accept(
 class AngleControl:
     """The angle sub-mode: what holds now, advanced by its rates, and what is still under way to taking effect.
 
-    roll, pitch, yaw: target rad; p, q, r rad/s; thrust as sent. with_rates: the last target brought body rates. chosen: in GUIDED, attitude
-    targets were the last kind sent.
+    roll, pitch, yaw: target rad; p, q, r rad/s; thrust as sent. with_rates: the last target brought body rates. chosen: attitude targets
+    are flown, in GUIDED where they were the last kind sent.
     """
 
     def __init__(self, delays: Delays) -> None:

@@ -70,9 +70,10 @@ class Mailbox:
             return
         if not v.angle.chosen:
             v.angle.chosen = True
-            thrust = v.angle.thrust
             v.angle.start(v.time_s, v.motion.yaw)
-            v.angle.thrust = thrust
+            v.angle.thrust = (
+                target.thrust
+            )  # stored at once: the one of before was a step's, and is not flown for the delay of this one
         if not math.isfinite(m.thrust) and not self._confessed:
             self._confessed = True
             v.say("Internal Errors 0x400", dialect.MAV_SEVERITY_CRITICAL)
