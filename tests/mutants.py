@@ -29,9 +29,10 @@ Place = tuple[int, int, int, int]
 
 GATE = ("tests/flight/test_gate_boundaries.py", "tests/flight/test_unseen.py")
 ABORT = ("tests/flight/test_late_modes.py", "tests/flight/test_one_way_links.py", "tests/flight/test_two_faults.py")
+NEAR_GROUND = ("tests/flight/test_near_ground.py",)
 CONDITIONS: dict[str, tuple[str, ...]] = {
     "flight/gate.py": GATE,
-    "flight/execution/supervisor.py": (*ABORT, *GATE),
+    "flight/execution/supervisor.py": (*NEAR_GROUND, *ABORT, *GATE),
 }
 SELECTION = tuple(
     f"tests/diagnose/test_{part}.py"
@@ -66,7 +67,7 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "estimation/uncertainty/covariance.py": ("tests/estimation",),
     "estimation/uncertainty/discrepancy.py": ("tests/estimation",),
     "flight/gate.py": GATE,
-    "flight/execution/supervisor.py": (*ABORT, *GATE),
+    "flight/execution/supervisor.py": (*NEAR_GROUND, *ABORT, *GATE),
     "validity/compare.py": ("tests/validity",),
     "validity/battery.py": ("tests/validity",),
     "validity/cusum.py": ("tests/validity",),

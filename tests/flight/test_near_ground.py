@@ -62,6 +62,30 @@ def test_the_mode_begins_with_a_throttle_that_holds_the_height(run_dir: Path) ->
     assert before == [["SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED"]] * 2
 
 
+@pytest.mark.parametrize("lost", [(0, 1), (1, 2)])
+def test_one_level_target_of_several_is_enough(lost: tuple[int, ...], run_dir: Path) -> None:
+    """A radio with 5 % loss lost the only one: the step began with the throttle of a stop, and the gate ended it twice (-0.7 m/s)."""
+    link = FaultyLink(options())
+    levels: list[float] = []  # since the way to the start
+    began: list[float | None] = []
+
+    def look(message: object, _t_s: float) -> None:
+        kind = message.get_type()  # type: ignore[attr-defined]
+        if kind == "SET_ATTITUDE_TARGET" and link.sim.vehicle.mode == CopterMode.GUIDED:
+            levels.append(message.thrust)  # type: ignore[attr-defined]
+        if asks_nogps(message):
+            began.append(link.sim.vehicle.angle.last_thrust)
+        lose = kind == "SET_ATTITUDE_TARGET" and link.sim.vehicle.mode == CopterMode.GUIDED and len(levels) - 1 in lost
+        link.deaf = lambda _t_s: lose
+
+    link.hook = look
+    result = fly(make_plan(make_leg("a")), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert len(levels) >= 3
+    assert began[0] is not None, "the vehicle has none where each of them was lost"
+    assert began[0] == pytest.approx(GATE.hover_throttle, rel=0.3)
+
+
 def asks_nogps(message: object) -> bool:
     """Whether a message asks for GUIDED_NOGPS."""
     asked = getattr(message, "command", None) == dialect.MAV_CMD_DO_SET_MODE

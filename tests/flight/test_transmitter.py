@@ -155,11 +155,11 @@ def test_a_request_that_arrives_after_the_switch_was_moved_is_said(latency_s: fl
     assert late in [m.label for m in open_run(run_dir).markers]
 
 
-@pytest.mark.parametrize(("old_beats", "left"), [(5, "WITH_PILOT"), (6, "TO_AUTOPILOT")])
+@pytest.mark.parametrize(("old_beats", "left"), [(6, "WITH_PILOT"), (7, "TO_AUTOPILOT")])
 def test_one_heartbeat_of_before_the_switch_was_moved_is_no_request_that_overruled_it(
     old_beats: int, left: str, run_dir: Path
 ) -> None:
-    """An autopilot may report its mode of before once more after the switch is seen to have moved, here after the fourth HEARTBEAT."""
+    """An autopilot may report its mode of before once more after the switch is seen to have moved, here after the fifth HEARTBEAT."""
     fault = Fault("pilot", 60.0, pilot_after_s=0.0, old_beats=old_beats)
     assert fly_cell(fault, When.FLYING, run_dir).ended == f"TAKE_OVER, {left}"
 

@@ -18,6 +18,7 @@ ASK_EVERY_S = 0.2
 ASK_ANYWAY_S = 2.0  # without an answer: the gate flies no step on a link that takes longer
 NEXT_MODE_AFTER_S = 1.5
 _ENTRY_S = 3.0
+LEVELS_BEFORE = 3  # targets before GUIDED_NOGPS: a link that loses a twentieth loses all of them in one of 8000 entries, a fifth in 125
 # Without a HEARTBEAT for so long no mode is asked for: the pilot may have chosen one, and would not be seen.
 UNSEEN_S = 1.5
 UNHEARD_S = (
@@ -182,11 +183,12 @@ def enter(
 
 def enter_nogps(control: FlightControl, hold: Callable[[], None] = lambda: None) -> bool:
     """Into GUIDED_NOGPS, which keeps the throttle of the last attitude target until the next one, for the time that a link takes there and
-    back (0.1 of full throttle over 0.2 s: 0.6 m/s down, flown). In GUIDED, which takes attitude targets, too, a level target with the
-    throttle that holds height goes before the request; level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.
+    back (0.1 of full throttle over 0.2 s: 0.6 m/s down, flown). In GUIDED, which takes attitude targets, too, level targets with the
+    throttle that holds height go before the request, several since one may be lost; level targets are sent from the vehicle's acceptance
+    on, HEARTBEAT or not.
 
-    hold: asks GUIDED for the present place, called between that target and the request: where the request is lost, GUIDED goes on holding
-    its place (level, it drifted 2.2 m in 2.6 s with 8 m/s of wind, flown). The throttle of the target is kept.
+    hold: asks GUIDED for the present place, called after each of those targets: where the request is lost, GUIDED goes on holding its
+    place (level, it drifted 2.2 m in 2.6 s with 8 m/s of wind, flown). The throttle of the target is kept.
     """
     asked_s = control.session.now_s()
 
@@ -202,6 +204,10 @@ def enter_nogps(control: FlightControl, hold: Callable[[], None] = lambda: None)
         if (ack.message.command, ack.message.result) == (dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_RESULT_ACCEPTED):
             control.release()
 
+    for _ in range(LEVELS_BEFORE - 1):
+        if control.state.mode == CopterMode.GUIDED:
+            level()
+            control.cycle()
     if not enter(control, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover, level):
         return False
     control.release()
