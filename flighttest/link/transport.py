@@ -47,8 +47,10 @@ def open_transport(url: str) -> Transport:
         if kind in ("udpin", "udp", "udpout", "tcp", "tcpout"):
             host, _, port_text = rest.rpartition(":")
             port = int(port_text)
-            if not host or not 0 < port < 65536:
-                raise ValueError(port_text)
+            if not 0 < port < 65536:
+                raise InputError(f"{url!r} has port {port}: there are 1 to 65535", f"use {URL_FORMS}")
+            if not host:
+                raise ValueError(rest)
             if kind in ("tcp", "tcpout"):
                 return TcpTransport(host, port)
             return UdpTransport(host, port, listen=kind != "udpout")

@@ -32,6 +32,11 @@ def test_a_bad_url_names_the_good_ones(url: str) -> None:
         open_transport(url)
 
 
+def test_a_port_that_there_is_not_is_named() -> None:
+    with pytest.raises(InputError, match="has port 99999: there are 1 to 65535"):
+        open_transport("udpin:0.0.0.0:99999")
+
+
 def test_no_listener() -> None:
     port = free_port(socket.SOCK_STREAM)
     with pytest.raises(LinkError, match=f"cannot open tcp:127.0.0.1:{port}"):

@@ -445,9 +445,10 @@ def test_a_run_is_resumed_as_printed(call, script, tmp_path, monkeypatch, gone):
 
 @pytest.mark.parametrize("url", ["nonsense", "tcp:127.0.0.1:1", "serial:/dev/no-such-port:57600"])
 def test_a_link_that_cannot_be_opened_leaves_no_run_folder(call, script, tmp_path, url):
-    code, _, _ = call("run", script, "--connect", url, "--out", tmp_path / "runs", "--yes")
+    code, out, err = call("run", script, "--connect", url, "--out", tmp_path / "runs", "--yes")
     assert code in (1, 2)
     assert not list(tmp_path.glob("runs/*"))
+    assert "recorded in" not in out + err, "a folder that is not there was named"
 
 
 def test_what_a_take_over_left_out_can_be_flown_when_the_vehicle_is_down(call, script, tmp_path, monkeypatch):

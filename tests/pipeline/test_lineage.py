@@ -281,9 +281,20 @@ def test_any_name_has_a_folder_of_its_own(tmp_path, name):
     assert lineage.folder_of(tmp_path, name) != lineage.folder_of(tmp_path, name + "_")
 
 
+def fitted(*, good, known=True):
+    estimates = {"K": SimpleNamespace(identifiable=known), "alpha": SimpleNamespace(identifiable=False)}
+    return SimpleNamespace(status=SimpleNamespace(good=good), estimates=estimates)
+
+
+def test_a_model_of_which_nothing_is_known_is_not_offered(tmp_path):
+    """After a take-over in the first step, with one response: "none of the 15 parameters is known", and the command to accept them."""
+    found = campaign.Analysis((), (), fitted(good=True, known=False))
+    assert campaign.how_to_accept(found, Status.UNUSABLE, tmp_path, "heron", tmp_path, keep=False) == ""
+
+
 def test_what_a_campaign_found_is_accepted_where_that_was_asked_for(tmp_path):
     """Of a vehicle that is known; of an unknown one the command reports what is missing, and nothing is lost."""
-    found = campaign.Analysis((), (), SimpleNamespace(status=SimpleNamespace(good=True)))  # type: ignore[arg-type]
+    found = campaign.Analysis((), (), fitted(good=True))
 
     def accepting(folder, name, status=Status.DONE, keep=True):
         return campaign.how_to_accept(found, status, folder, name, tmp_path, keep)
@@ -299,7 +310,7 @@ def test_what_a_campaign_found_is_accepted_where_that_was_asked_for(tmp_path):
 
 def test_the_improved_model_is_judged_by_its_own_fit(tmp_path):
     """The base, which lacks what was found, had stopped before it converged, and the command that accepts the model was not printed."""
-    poor, good = (SimpleNamespace(status=SimpleNamespace(good=good)) for good in (False, True))
+    poor, good = fitted(good=False), fitted(good=True)
 
     def accepting(fit, improved):
         found = campaign.Analysis((), (), fit, improved=improved)

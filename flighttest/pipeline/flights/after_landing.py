@@ -122,6 +122,8 @@ def how_to_accept(found: Analysis, status: Status, folder: Path, name: str, out:
     own = found.own
     if own is None or not own.status.good or not (renewed(found) or found.diagnosis is not None):
         return ""
+    if not any(e.identifiable for e in own.estimates.values()):
+        return ""
     words = f"flighttest accept {shlex.quote(str(folder))}{out_words(out)}"
     used = found.previous
     if used is not None and not _changed(found) and worse(model_file.from_fit(own), used):

@@ -201,7 +201,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             behind = left_behind(request.out, plan.vehicle.name)
             folder = new_run(request.out, plan.script.name, datetime.datetime.now())
             number = f"{count + 1} of {len(due)}"
-            progress.stage(f"{plan.script.name} ({number}): {len(plan.legs)} steps, recorded in {folder}")
+            begins = f"{plan.script.name} ({number}): {len(plan.legs)} steps, recorded in {folder}"
             asked = FlightSettings(
                 left_behind=behind,
                 fence_behind=fence_behind(request.out, plan.vehicle.name),
@@ -210,7 +210,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
                 replanner=ScriptReplanner(plan, prior),
                 on_vehicle=compare,
             )
-            ended = _one(replace(request, seed=request.seed + index), plan, folder, asked, progress)
+            ended = _one(replace(request, seed=request.seed + index), plan, folder, asked, progress, begins)
         except FlighttestError as error:
             if not folders:
                 raise
@@ -307,10 +307,13 @@ def _report_changes(previous: ModelFile, today: FingerprintData, reported: set[s
     )
 
 
-def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightSettings, progress: Progress) -> FlightResult:
-    """One script, flown and recorded in a folder. asked: what the flight needs beside the request."""
+def _one(
+    request: FlightRequest, plan: Plan, folder: Path, asked: FlightSettings, progress: Progress, begins: str
+) -> FlightResult:
+    """One script, flown and recorded in a folder. asked: what the flight needs beside the request; begins: said once the link is open."""
     with connection(request) as url, counted_interrupts() as stops:
         link = open_transport(url)  # before the run has a folder: one that cannot be opened leaves none behind
+        progress.stage(begins)
         keep(folder, _flown_with(request))
         wanted = replace(
             asked,
