@@ -10,6 +10,7 @@ from unittest import mock
 import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome
+from flighttest.flight.execution import supervisor
 from flighttest.flight.execution.control import FlightControl
 from flighttest.flight.preparation.preflight import TIMEOUT_S
 from flighttest.frames import G_M_S2
@@ -84,6 +85,53 @@ def test_one_level_target_of_several_is_enough(lost: tuple[int, ...], run_dir: P
     assert len(levels) >= 3
     assert began[0] is not None, "the vehicle has none where each of them was lost"
     assert began[0] == pytest.approx(GATE.hover_throttle, rel=0.3)
+
+
+@pytest.mark.parametrize("answered", [True, False])
+def test_level_targets_are_sent_from_the_vehicles_acceptance_on(answered: bool, run_dir: Path) -> None:
+    """HEARTBEAT shows the mode later, and without targets GUID_TIMEOUT ends the throttle. Without an acceptance GUIDED holds the place."""
+    link = FaultyLink(options())
+    asked_s: list[float] = []
+    sent_s: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        if asks_nogps(message):
+            asked_s.append(t_s)
+        if asked_s and message.get_type() == "SET_ATTITUDE_TARGET":  # type: ignore[attr-defined]
+            sent_s.append(t_s)
+
+    hidden = {"HEARTBEAT"} if answered else {"HEARTBEAT", "COMMAND_ACK"}
+    link.silenced = lambda kind, t_s: bool(asked_s) and t_s < asked_s[0] + 0.6 and kind in hidden
+    link.hook = look
+    assert fly(make_plan(make_leg("a")), "sim", run_dir, transport=link).outcome is FlightOutcome.COMPLETED
+    early = [t_s for t_s in sent_s if asked_s[0] + 0.1 < t_s < asked_s[0] + 0.5]
+    assert len(early) > 15 if answered else early == []
+
+
+def test_no_target_goes_before_the_request_in_another_mode_than_guided() -> None:
+    """In BRAKE, where the way by attitude targets begins after a refusal, they do nothing."""
+    control = mock.Mock(**{"state.mode": CopterMode.BRAKE, "session.now_s.return_value": 0.0})
+    with mock.patch.object(supervisor, "enter", lambda _c, _m, _t, _w, before: before() or False):
+        assert not supervisor.enter_nogps(control)
+    control.release.assert_not_called()
+    control.cycle.assert_not_called()
+
+
+MODE, ARM = dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_CMD_COMPONENT_ARM_DISARM
+ACCEPTED, DENIED = dialect.MAV_RESULT_ACCEPTED, dialect.MAV_RESULT_DENIED
+
+
+@pytest.mark.parametrize(
+    ("answer", "level"),
+    [(None, False), ((MODE, ACCEPTED), True), ((MODE, DENIED), False), ((ARM, ACCEPTED), False)],
+)
+def test_only_an_accepted_mode_is_one(answer: tuple[int, int] | None, level: bool) -> None:
+    ack = None if answer is None else mock.Mock(t_s=1.0, message=mock.Mock(command=answer[0], result=answer[1]))
+    control = mock.Mock(**{"state.mode": CopterMode.BRAKE, "session.now_s.return_value": 0.0})
+    control.session.latest.get.return_value = ack
+    with mock.patch.object(supervisor, "enter", lambda _c, _m, _t, meanwhile, _b: meanwhile() or False):
+        assert not supervisor.enter_nogps(control)
+    assert control.release.called is level
 
 
 def asks_nogps(message: object) -> bool:
