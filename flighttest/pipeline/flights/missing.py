@@ -12,9 +12,8 @@ from flighttest.pipeline.store.resuming import flown_in
 from flighttest.plan import Plan
 from flighttest.report.numbers import join
 
-_PASSING = frozenset(
-    {LegOutcome.NOT_SETTLED, LegOutcome.LINK_LOST, LegOutcome.REFUSED}
-)  # what wind or link may have caused
+# What wind or link may have caused.
+_PASSING = frozenset({LegOutcome.NOT_SETTLED, LegOutcome.LINK_LOST, LegOutcome.REFUSED})
 
 
 def steps_missing(plan: Plan, ended: FlightResult, earlier: Sequence[Path]) -> int:

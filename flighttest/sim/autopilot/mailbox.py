@@ -71,9 +71,8 @@ class Mailbox:
         if not v.angle.chosen:
             v.angle.chosen = True
             v.angle.start(v.time_s, v.motion.yaw)
-            v.angle.thrust = (
-                target.thrust
-            )  # stored at once: the one of before was a step's, and is not flown for the delay of this one
+            # At once: the throttle of before was a step's, and is not flown for the delay of this one.
+            v.angle.thrust = target.thrust
         if not math.isfinite(m.thrust) and not self._confessed:
             self._confessed = True
             v.say("Internal Errors 0x400", dialect.MAV_SEVERITY_CRITICAL)
