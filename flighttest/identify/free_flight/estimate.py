@@ -282,7 +282,7 @@ class _PredictionErrors:
     @property
     def levels(self) -> dict[str, float]:
         """Channel to the standard deviation of its level, over the root of what log likelihoods are divided by."""
-        return {c: std / math.sqrt(self.inflation) for c, std in LEVEL.items() if self.asked.part == "translation"}
+        return {s.channel: LEVEL[s.channel] / math.sqrt(self.inflation) for s in self.first if s.channel in LEVEL}
 
     def start(self) -> _Point:
         """At the start values, inside the bounds."""
