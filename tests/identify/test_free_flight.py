@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from flighttest.errors import FitError
+from flighttest.estimation.drift import LEVEL
 from flighttest.estimation.gauss_newton import minimise
 from flighttest.frames import rotation_from_euler
 from flighttest.identify.diagnostics.identifiability import allowance
@@ -194,6 +195,16 @@ def test_of_several_starts_the_best_optimum_is_found_and_what_leads_to_less_is_g
         assert found.std[name] == pytest.approx(alone.std[name], rel=0.05)
     assert [one is None for one in limits] == ([True, False] if order > 0 else [True, False, True])
     assert limits[1].compared_with is not None
+
+
+def test_the_level_of_an_accelerometer_is_not_divided_by_what_log_likelihoods_are():
+    """In the scale of the innovations it is smaller by the root of the inflation; undivided, biases had taken the place of offsets."""
+    found = estimate(stretches(flight(40.0, 108, gust=0.1)), Model(attitude_loops=False), free=NAMES)
+    assert found.inflation > 1.2
+    for channel, std in LEVEL.items():
+        assert found.noise[channel].level * np.sqrt(found.inflation) == pytest.approx(std, rel=0.03)
+    alone = estimate(stretches(flight(40.0, 108, accelerometer=False)), Model(attitude_loops=False), free=NAMES)
+    assert not any(one.level for one in alone.noise.values())
 
 
 def test_pieces_that_are_integrated_side_by_side_are_one_flight(monkeypatch):
