@@ -136,7 +136,6 @@ def test_what_instruments_drift_by_is_estimated_beside_the_rest_and_has_no_name(
     assert any("attitude_offset is in the model and no finding" in note for note in found.notes)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("bias", "named"), [(0.1, []), (0.3, []), (0.4, ["attitude_offset"])])
 def test_a_bias_that_accelerometers_have_is_neither_a_tilt_nor_a_wind(bias, named):
     """One of 0.1 m/s^2 was an offset of the thrust axis with 103 nats, as an alternative a wind with 97. Where levels have 0.035 m/s^2
@@ -145,6 +144,7 @@ def test_a_bias_that_accelerometers_have_is_neither_a_tilt_nor_a_wind(bias, name
     assert list(find_terms(stretches(biased), ALONE, TILTS).named) == named
 
 
+@pytest.mark.slow
 def test_a_force_below_what_instruments_drift_by_is_left_out(monkeypatch):
     """A third pole of 1.8 mrad beside a rate feedforward made the time of that 0.24 +- 0.06 s from 0.11 +- 0.01 s."""
     monkeypatch.setattr(EffectSize, "too_small", lambda _: SMALL)

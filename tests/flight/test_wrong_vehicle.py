@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from unittest import mock
@@ -88,17 +89,24 @@ def test_another_autopilot_is_refused_likewise(run_dir: Path) -> None:
     assert "not ArduPilot" in error.message
 
 
+def asks_for_nothing(
+    opened_by: str, ask: Callable[[str], object], mav_type: int, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A command that opens its link in a module refuses such a vehicle by its name, and has sent it nothing but what every link carries."""
+    link = other(mav_type)
+    monkeypatch.setattr(f"{opened_by}.open_transport", lambda _url: link)
+    with pytest.raises(LinkError, match=kind):
+        ask("tcp:127.0.0.1:1")
+    assert {message for _, message in link.sent} <= {"HEARTBEAT", "TIMESYNC"}
+
+
 @pytest.mark.parametrize("ask", [read_vehicle, hello])
 @pytest.mark.parametrize(("mav_type", "kind"), [*OTHERS, (dialect.MAV_TYPE_HELICOPTER, "a helicopter")])
 def test_status_and_doctor_do_not_call_it_arducopter(
     ask: object, mav_type: int, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`doctor` said of a rover: "ok ArduCopter 4.7.0-dev"."""
-    link = other(mav_type)
-    monkeypatch.setattr("flighttest.pipeline.vehicles.live.open_transport", lambda _url: link)
-    with pytest.raises(LinkError, match=kind):
-        ask("tcp:127.0.0.1:1")  # type: ignore[operator]
-    assert {message for _, message in link.sent} <= {"HEARTBEAT", "TIMESYNC"}
+    asks_for_nothing("flighttest.pipeline.vehicles.live", ask, mav_type, kind, monkeypatch)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("mav_type", "kind"), OTHERS[1:5])
@@ -106,12 +114,9 @@ def test_no_log_is_downloaded_that_no_import_takes(
     mav_type: int, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A rover's log was downloaded for minutes, and refused then."""
-    link = other(mav_type)
-    monkeypatch.setattr("flighttest.link.onboard.logs.open_transport", lambda _url: link)
-    with pytest.raises(LinkError, match=kind):
-        fetch_log("tcp:127.0.0.1:1", tmp_path / "run")
-    assert not (tmp_path / "run").exists()
-    assert {message for _, message in link.sent} <= {"HEARTBEAT", "TIMESYNC"}
+    run = tmp_path / "run"
+    asks_for_nothing("flighttest.link.onboard.logs", lambda url: fetch_log(url, run), mav_type, kind, monkeypatch)
+    assert not run.exists()
 
 
 @pytest.mark.parametrize("quadplane", [False, True])
@@ -127,12 +132,9 @@ def test_another_kind_of_vehicle_gets_no_key(
     mav_type: int, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An aeroplane took the key, and answered its own ground station no more."""
-    link = other(mav_type)
-    monkeypatch.setattr("flighttest.pipeline.vehicles.signing.open_transport", lambda _url: link)
-    with pytest.raises(LinkError, match=kind):
-        sign("tcp:127.0.0.1:1", tmp_path / "key")
-    assert not (tmp_path / "key").exists()
-    assert {message for _, message in link.sent} <= {"HEARTBEAT", "TIMESYNC"}
+    key = tmp_path / "key"
+    asks_for_nothing("flighttest.pipeline.vehicles.signing", lambda url: sign(url, key), mav_type, kind, monkeypatch)
+    assert not key.exists()
 
 
 def test_a_key_is_taken_away_from_any_vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,8 +1,8 @@
 """Equations of motion beside what is random and not estimated: the initial states of a swinging load, and what instruments are off by.
 
-An accelerometer is off by as much as nothing shows but that it stays: a level, one for each channel and flight, of known standard
-deviation s (`estimation.drift`). With its whitened column d it is a part of the noise, of covariance V = I + s^2 d d', and rows r are
-whitened by it as
+An accelerometer has a bias that stays for all of a flight: a random intercept of each channel and flight (Laird and Ware, Biometrics 38,
+1982), here a level, of known standard deviation s (`estimation.drift`). With its whitened column d it is a part of the noise, of
+covariance V = I + s^2 d d', and rows r are whitened by it as
 
     V^-1/2 r = r - d m d' r,    m = s^2 / (q (1 + q)),    q^2 = 1 + s^2 d' d,
 

@@ -204,10 +204,9 @@ def enter_nogps(control: FlightControl, hold: Callable[[], None] = lambda: None)
         if (ack.message.command, ack.message.result) == (dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_RESULT_ACCEPTED):
             control.release()
 
-    for _ in range(LEVELS_BEFORE - 1):
-        if control.state.mode == CopterMode.GUIDED:
-            level()
-            control.cycle()
+    for _ in range(LEVELS_BEFORE - 1 if control.state.mode == CopterMode.GUIDED else 0):
+        level()
+        control.cycle()
     if not enter(control, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover, level):
         return False
     control.release()

@@ -157,7 +157,6 @@ def covariance_at(
         _Asked(found.model, found.part, free, tuple(per_flight), dict(priors or {})),
         found.values,
         found.initial,
-        found.inflation,
     )
     objective.noise = dict(found.noise)
     at_null = np.array([null.get(c.split("@")[0], found.values[c]) for c in objective.columns])
