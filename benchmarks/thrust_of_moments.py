@@ -17,7 +17,7 @@ from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.estimation.responses import relative_thrust
 from flighttest.identify.fit import default_model
 from flighttest.identify.free_flight import estimate, stretches
-from flighttest.identify.free_flight.estimate import determined
+from flighttest.identify.free_flight.priors import determined
 from flighttest.identify.free_flight.winds import WIND_TERM, in_still_air
 from flighttest.physics.blocks import VELOCITY
 from flighttest.physics.catalogue import catalogue

@@ -185,7 +185,7 @@ def test_a_term_whose_null_value_is_inside_its_interval_is_not_named(monkeypatch
         wider = found.final.covariance * (off / errors) ** 2
         between = share * (wider - found.final.covariance)
         why = null_inside_interval(replace(found.final, covariance=wider, between=between), offset)
-        assert ("offset_pitch is 0.037 +- 0.03 rad, which may be nothing" in why) is nothing
+        assert ("which may be nothing" in why) is nothing
     monkeypatch.setattr(equation_search, "null_inside_interval", lambda *_: "it may be nothing")
     found = find_terms(flown, ALONE, TILTS)
     assert "attitude_offset" not in found.named
@@ -217,7 +217,7 @@ def test_a_named_term_leaves_where_its_null_value_comes_to_be_inside_its_interva
 @pytest.mark.slow
 def test_a_coefficient_that_cannot_be_is_held_at_nothing_beside_those_that_can():
     """One that pushes was refused with the two that brake: what drove it there is not their effect."""
-    flown = flight(80.0, 24, gust=0.2, climb=1.0, run="fast", quadratic=(0.2, 0.2, -0.15))
+    flown = flight(80.0, 24, gust=0.1, climb=1.0, run="fast", quadratic=(0.2, 0.2, -0.15))
     found = diagnose(flown, Model(), only=("quadratic_drag",))
     (finding,) = [f for f in found.findings if f.term == "quadratic_drag"]
     assert set(finding.parameters) == {"k_x", "k_y"}

@@ -114,6 +114,18 @@ def test_flights_that_differ_in_a_shared_parameter_widen_what_depends_on_it():
     assert quiet[0] < 0.1 * spread[0]
 
 
+def test_a_prior_keeps_its_size_beside_innovations_that_count_too_often():
+    """Every sample four times: estimates err twice as much as the information says. The posterior is that of single samples."""
+    rng = np.random.default_rng(8)
+    x, e, slope = rng.standard_normal(2000), rng.standard_normal(2000), 0.05
+    once, every = (Stream("y", 0, np.repeat(slope * x + e, k), np.repeat(x, k)[:, None]) for k in (1, 4))
+    white = {"y": Autoregression(np.array([1.0]), 1.0)}
+    plain = step(whiten([once], white, 50), np.zeros(1), np.array([0.02]))
+    counted = step(whiten([every], white, 200), np.zeros(1), np.array([0.02 / 2.0]), inflation=4.0)
+    assert counted.delta == pytest.approx(plain.delta)
+    assert counted.robust[0, 0] == pytest.approx(plain.robust[0, 0], rel=0.15)
+
+
 def test_a_direction_without_information_has_no_variance():
     stream = Stream("y", 0, np.random.default_rng(5).standard_normal(400), np.zeros((400, 2)))
     stream.columns[:, 0] = np.sin(np.arange(400.0))

@@ -1,5 +1,6 @@
 """Free flight by equation error: vehicles made without our equations, flown by a position loop in gusts."""
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -15,8 +16,8 @@ from flighttest.identify.fit import fit
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.identify.free_flight.chunks import Chunks
 from flighttest.identify.free_flight.equations import Equations
-from flighttest.identify.free_flight.estimate import prior_of
 from flighttest.identify.free_flight.estimated import mixture
+from flighttest.identify.free_flight.priors import prior_of
 from flighttest.identify.free_flight.translation import predicted
 from flighttest.identify.free_flight.winds import FlightWind, WindVerdict, any_wind, headings_of, winds, winds_of
 from flighttest.physics.catalogue import catalogue
@@ -205,6 +206,20 @@ def test_the_level_of_an_accelerometer_is_not_divided_by_what_log_likelihoods_ar
         assert found.noise[channel].level * np.sqrt(found.inflation) == pytest.approx(std, rel=0.03)
     alone = estimate(stretches(flight(40.0, 108, accelerometer=False)), Model(attitude_loops=False), free=NAMES)
     assert not any(one.level for one in alone.noise.values())
+
+
+@pytest.mark.parametrize("seed", [3, 4, 6])
+def test_a_prior_weighs_as_much_as_a_flight_of_the_same_standard_error(seed):
+    """Its mean is three standard errors off, its standard deviation one of them: the estimate goes half the way, with an error smaller by
+    the root of two. Log likelihoods count information that robust errors do not confirm; beside them it went 0.33 to 0.40 of the way."""
+    flown = stretches(flight(40, seed, gust=0.4, accelerometer=False))
+    shown = estimate(flown, Model(attitude_loops=False), free=NAMES)
+    assert shown.inflation > 1.3
+    std = shown.std["K"]
+    prior = {"K": (shown.values["K"] + 3.0 * std, std)}
+    both = estimate(flown, Model(attitude_loops=False), free=NAMES, priors=prior)
+    assert (both.values["K"] - shown.values["K"]) / (3.0 * std) == pytest.approx(0.5, abs=0.05)
+    assert both.std["K"] / std == pytest.approx(math.sqrt(0.5), rel=0.05)
 
 
 def test_pieces_that_are_integrated_side_by_side_are_one_flight(monkeypatch):

@@ -18,7 +18,8 @@ from flighttest.estimation.linearisation import FloatArray
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.free_flight import FreeFlight, estimate
 from flighttest.identify.free_flight.equations import Equations
-from flighttest.identify.free_flight.estimate import covariance_at, determined
+from flighttest.identify.free_flight.estimate import covariance_at
+from flighttest.identify.free_flight.priors import determined
 from flighttest.identify.free_flight.winds import WIND, WIND_TERM
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model

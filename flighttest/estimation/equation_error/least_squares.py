@@ -82,8 +82,9 @@ class Step:
     chi2: float
 
 
-def step(rows: Whitened, prior_mean: FloatArray, prior_std: FloatArray) -> Step:
-    """Least squares with a Gaussian prior of the step, prior_std (q,) infinite where there is none.
+def step(rows: Whitened, prior_mean: FloatArray, prior_std: FloatArray, inflation: float = 1.0) -> Step:
+    """Least squares with a Gaussian prior of the step, prior_std (q,) infinite where there is none. inflation: of the innovations'
+    variance, by whose root prior_std is divided.
 
     robust: the sandwich over blocks (Liang and Zeger 1986), with the few-cluster factor n / (n - 1); not below the information's. A
     direction that neither data nor prior determine has an infinite variance.
@@ -104,7 +105,7 @@ def step(rows: Whitened, prior_mean: FloatArray, prior_std: FloatArray) -> Step:
     np.add.at(scores, rows.block, rows.columns * left[:, None])
     meat = scores.T @ scores * (n / max(n - 1, 1))
     # What priors contribute is no estimate of these blocks.
-    robust = covariance @ (meat + np.diag(precision)) @ covariance
+    robust = covariance @ (meat + inflation * np.diag(precision)) @ covariance
     unknown = vector[:, ~known] / scale[:, None]
     lost = np.einsum("ij,ij->i", unknown, unknown) > 0.0
     at = np.arange(len(delta))

@@ -15,8 +15,9 @@ from flighttest.estimation.solver import Start, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
 from flighttest.identify.diagnostics.identifiability import Estimated, judge
 from flighttest.identify.fit import Estimate, Fit, fit, has_attitude_references, mean_delay
-from flighttest.identify.free_flight.estimate import determined, estimate
+from flighttest.identify.free_flight.estimate import estimate
 from flighttest.identify.free_flight.estimated import HeldEstimate
+from flighttest.identify.free_flight.priors import determined
 from flighttest.identify.free_flight.stretches import stretches
 from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model

@@ -42,12 +42,11 @@ from flighttest.estimation.equation_error import (
 )
 from flighttest.estimation.gauss_newton import Minimum, Space, Tolerances, minimise
 from flighttest.identify.dead_time import thrust_gain
-from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight.chunks import InitialValues
 from flighttest.identify.free_flight.equations import Equations
 from flighttest.identify.free_flight.estimated import FreeFlight, inflation_of, mixture
+from flighttest.identify.free_flight.priors import DRAG, prior_of
 from flighttest.identify.free_flight.stretches import most_moved
-from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -55,7 +54,6 @@ FloatArray = NDArray[np.float64]
 
 # Relative change of the innovations' standard deviation, by which log likelihoods move a nat in 100 samples.
 SETTLED = 0.01
-ALPHA_STD = 0.5  # motors on a battery have 1 to 2
 DELAYS_S = (0.02, 0.08, 0.2)
 # Lags and delays that local optima are looked for from, by part of the model.
 STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
@@ -68,7 +66,6 @@ STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
 INPUTS = {
     "translation": ("throttle",), "roll_pitch": ("roll_ref_rad", "pitch_ref_rad"), "yaw": ("yaw_rate_ref_rad_s",),
 }  # fmt: skip
-DRAG = ("d_x", "d_y", "d_z")
 START_S, PIECES = 60.0, 4  # of flight that local optima are looked for in
 FIRST_ITERATIONS = 6
 LEANS = 0.7  # of its prior's standard deviation: a parameter with a larger error was not determined by the flight
@@ -81,22 +78,6 @@ def start_of(flown: Sequence[Segment], model: Model) -> dict[str, float]:
     if gain is not None and "K" in model.param:
         values["K"] = float(np.clip(gain, model.param["K"].lower * 1.01, model.param["K"].upper * 0.99))
     return values | {n: v for n, v in STARTS["translation"][0].items() if n in values}
-
-
-def prior_of(p: Param) -> tuple[float, float]:
-    """Mean and standard deviation of a parameter's prior where none is given: usual sizes of linear coefficients, else none."""
-    if p.name == "alpha":
-        return p.nominal, ALPHA_STD
-    if p.kind == "amplitude" and p.off is not None and p.name not in DRAG:
-        return p.off, p.prior_std
-    return p.nominal, np.inf
-
-
-def determined(flown: Sequence[Segment], model: Model) -> list[str]:
-    """Parameters that free flight may determine: not the exponent of a voltage that stays what it is, nor an upward wind, which is a
-    thrust."""
-    held = {"w_up"} | (set() if voltage_varies(flown, model.nominal_voltage_v) else {"alpha"})
-    return [n for n in model.names if n not in held]
 
 
 def estimate(
@@ -157,6 +138,7 @@ def covariance_at(
         _Asked(found.model, found.part, free, tuple(per_flight), dict(priors or {})),
         found.values,
         found.initial,
+        found.inflation,
     )
     objective.noise = dict(found.noise)
     at_null = np.array([null.get(c.split("@")[0], found.values[c]) for c in objective.columns])
@@ -207,7 +189,7 @@ def _minimised(
     """inflation: of `FreeFlight`; 0 where it is that of a first estimate, from which a second starts."""
     objective = _PredictionErrors(equations, asked, values, inflation=max(inflation, 1.0))
     found = objective.found(minimise(objective, objective.start(), objective.space, tolerances=tolerances))
-    if inflation or not objective.levels:
+    if inflation or not objective.assumes:
         return found
     objective = _PredictionErrors(equations, asked, found.values, found.initial, found.inflation)
     again = minimise(objective, objective.start(), objective.space, tolerances=tolerances, least_iterations=1)
@@ -249,8 +231,9 @@ class _Errors(NamedTuple):
 
 
 class _PredictionErrors:
-    """The objective of an estimate (`estimation.gauss_newton`): squares of the innovations and of the priors' departures. The noise of each
-    channel is estimated anew at every step; initial states that nothing measured follow their predictions."""
+    """The objective of an estimate (`estimation.gauss_newton`): squares of the innovations and of the priors' departures, these times the
+    inflation that log likelihoods are divided by. The noise of each channel is estimated anew at every step; initial states that nothing
+    measured follow their predictions."""
 
     def __init__(
         self,
@@ -271,7 +254,8 @@ class _PredictionErrors:
             raise FitError("no stretch of free flight without gaps is long enough", "see `flighttest segment`")
         params = [asked.model.param[c.split("@")[0]] for c in self.columns]
         self.space = Space(*(np.array([getattr(p, k) for p in params]) for k in ("lower", "upper", "scale")))
-        self.mean, self.std = (np.array([asked.prior(c)[k] for c in self.columns]) for k in (0, 1))
+        self.mean, self.asked_std = (np.array([asked.prior(c)[k] for c in self.columns]) for k in (0, 1))
+        self.std = self.asked_std / math.sqrt(inflation)
         self.rows = block_rows(sum(float(np.ptp(s.t_s)) for s in equations.flown), equations.period_s)
         self.noise, self.log_determinant = noises(self.first, self.levels), 0.0
         self._learned: tuple[object, object] = self.first, self.noise  # residuals, and the noise of them
@@ -282,6 +266,11 @@ class _PredictionErrors:
     def levels(self) -> dict[str, float]:
         """Channel to the standard deviation of its level, over the root of what log likelihoods are divided by."""
         return {s.channel: LEVEL[s.channel] / math.sqrt(self.inflation) for s in self.first if s.channel in LEVEL}
+
+    @property
+    def assumes(self) -> bool:
+        """Whether anything is, which depends on the inflation."""
+        return bool(self.levels) or bool(np.isfinite(self.asked_std).any())
 
     def start(self) -> _Point:
         """At the start values, inside the bounds."""
@@ -366,7 +355,7 @@ class _PredictionErrors:
         known = self.errors(at)
         error = np.sqrt(np.diag(known.covariance))
         leaning = frozenset(
-            c for c, e, s in zip(self.columns, error, self.std, strict=True) if np.isfinite(s) and e > LEANS * s
+            c for c, e, s in zip(self.columns, error, self.asked_std, strict=True) if np.isfinite(s) and e > LEANS * s
         )
         channels = dict.fromkeys(s.channel for s in at.streams)
         left = beside_random_effects(at.streams, without_levels(self.noise))
@@ -384,7 +373,7 @@ class _PredictionErrors:
     def errors(self, at: _Point) -> _Errors:
         """Of the parameters at a point, with what flights differ by."""
         rows = whiten(at.streams, self.noise, self.rows)
-        made = step(rows, self.mean - at.theta, self.std)
+        made = step(rows, self.mean - at.theta, self.std, self.inflation)
         own = np.array(["@" in c for c in self.columns])
         spread, extra = heterogeneity(rows, own, self.std)
         lacks = lack_of_fit(beside_random_effects(at.streams, self.noise), self.noise)
