@@ -38,7 +38,7 @@ _MOVED_RAD = 2.0 * _FOLLOWED_RAD
 def flights(recording: Recording) -> tuple[tuple[float, float], ...]:
     """From take-off to landing, s, of every flight of a recording in order; none where the vehicle stood all the time."""
     start, end = _whole(recording)
-    landings = _landings(recording, start, end)
+    landings = _stands(recording, start, end)
     lost = _without_control(recording, start, end, landings)
     bounds = [start]
     for down, up in _joined([*landings, *_crashes(recording, start, end), *lost]):
@@ -58,7 +58,7 @@ def control_lost(recording: Recording) -> tuple[tuple[float, float], ...]:
     """From where the attitude leaves what was asked for, to where it is shown to follow again, else to the end of that flight, s, of every
     flight in which control was lost (a collision, a failure): in what state the vehicle and its estimates are meanwhile is not known."""
     start, end = _whole(recording)
-    return tuple(_without_control(recording, start, end, _landings(recording, start, end)))
+    return tuple(_without_control(recording, start, end, _stands(recording, start, end)))
 
 
 def _whole(recording: Recording) -> tuple[float, float]:
@@ -144,6 +144,33 @@ def _still(recording: Recording, start: float, end: float, slower_m_s: float, na
     t, v = recording.channel(name)
     inside = (t >= start) & (t <= end) & np.isfinite(v)
     return bool(inside.any()) and float(np.median(np.abs(v[inside]))) < slower_m_s
+
+
+def _stands(recording: Recording, start: float, end: float) -> list[tuple[float, float]]:
+    """Stretches in which the vehicle stands, s: between two flights, and after a take-off that was declared too early."""
+    return [*_landings(recording, start, end), *_not_yet_up(recording, start, end)]
+
+
+def _not_yet_up(recording: Recording, start: float, end: float) -> list[tuple[float, float]]:
+    """From where the autopilot reports a take-off to where the vehicle is higher than `_LOW_M` above where it stood with idle motors just
+    before, else to the end of that flight, s, where it is at rest for longer than a declared take-off takes. ArduCopter reports one as soon
+    as the throttle is more than half of that at mid stick (land_detector.cpp), with which nothing need fly."""
+    if not recording.has("height_m", "throttle"):
+        return []
+    t, height = recording.channel("height_m")
+    t, height = t[np.isfinite(height)], height[np.isfinite(height)]
+    ends = sorted(m.t_s for m in recording.markers if m.label in ("take-off", "landed"))
+    found: list[tuple[float, float]] = []
+    for up in [m.t_s for m in recording.markers if m.label == "take-off" and start - _ASIDE_S <= m.t_s < end]:
+        idle = (t > up - _ASIDE_S) & (t < up) & ~_is_driven(recording, t)
+        behind = (t >= up) & (t <= next((at for at in ends if at > up), end))
+        if not idle.any() or not behind.any():
+            continue
+        lifted = t[behind & (height > _ground(height, idle) + _LOW_M)]
+        until = float(lifted[0]) if lifted.size else float(t[behind][-1])
+        if until - up > _ASIDE_S + _STANDS_S and _at_rest(recording, up, until):
+            found.append((up, until))
+    return found
 
 
 def _landings(recording: Recording, start: float, end: float) -> list[tuple[float, float]]:

@@ -74,6 +74,28 @@ def test_a_hop_before_the_legs_have_left_the_ground_is_no_flight():
 
 
 @pytest.mark.parametrize(
+    ("rises", "slow_m_s", "found"),
+    [
+        ([24.0, 26.0], 0.02, [(24, 60)]),  # thirteen seconds with too little throttle to fly, then a climb
+        ([24.0, 26.0], 1.0, [(11, 60)]),  # moves meanwhile: what its height says is wrong
+        ([11.0, 12.0], 0.02, [(11, 60)]),  # a take-off of its usual duration
+        ([70.0, 71.0], 0.02, []),  # never left the ground
+    ],
+)
+def test_a_vehicle_that_stands_after_a_reported_take_off_does_not_fly(rises, slow_m_s, found):
+    """ArduCopter reports one at half of the throttle of hovering: a simulated copter stood for 14 s so, five windows of that were used as
+    free flight, and K was known to 1 %: 9.81 over the throttle that did not lift it."""
+    driven = recorded(lambda t: np.where(t < 10.0, 0.0, np.where(t < 24.0, 0.29, 0.5)), G_M_S2)
+    t = driven.series["reference"].t_s
+    series = {
+        **driven.series,
+        "height": Series(t, {"height_m": 0.34 + np.interp(t, rises, [0.0, 2.0])}),
+        "velocity": Series(t, {f"v_{axis}_m_s": np.full(t.size, slow_m_s) for axis in "xyz"}),
+    }
+    assert spans(replace(driven, series=series, markers=(Marker(10.02, "note", "take-off"),))) == found
+
+
+@pytest.mark.parametrize(
     ("lasts_s", "up", "found"),
     [(5.0, (), [(0, 19), (25, 60)]), (5.0, (40.0,), [(1, 19), (41, 60)]), (0.6, (), [(0, 60)])],
 )
