@@ -50,10 +50,12 @@ def prior(name: str) -> float:
 def measured(
     normal: Normal, names: Sequence[str], values: Mapping[str, float], segments: Sequence[Segment]
 ) -> dict[str, float]:
-    """Relative discrepancy, one standard deviation, of each of `names` (those that were estimated).
+    """Relative discrepancy, one standard deviation, of each of `names` (those that were estimated) that the responses show; of one that
+    free flight alone determined, by equations of its own, no response says how far it moves, and its prior stays.
 
     normal: normal equations per segment at the solution, as `segments`; values: of the parameters.
     """
+    names = [n for n in names if n in normal.names]
     pick = [normal.names.index(n) for n in names]
     if not pick:
         return {}

@@ -219,6 +219,14 @@ def test_too_few_responses_keep_the_prior():
     assert measured(normal, ("K",), {"K": 50.0}, steps)["K"] == prior("K")
 
 
+def test_what_the_responses_do_not_show_keeps_the_prior():
+    """A fit of three windows of a simulated PX4 ended in a traceback: their innovations determined the roll loop, their responses did
+    not."""
+    normal, steps = flown(np.random.default_rng(18))
+    made = measured(normal, ("K", "omega_phi"), {"K": 50.0, "omega_phi": 9.0}, steps)
+    assert made == measured(normal, ("K",), {"K": 50.0}, steps)
+
+
 def test_the_battery_of_a_campaign_is_estimated_from_all_its_flights():
     """One flight that hardly moves the current must not outweigh the one that does."""
     rng = np.random.default_rng(19)
