@@ -24,6 +24,10 @@ _RESTS_M_S2 = 0.5  # specific force of what stands differs from g by less
 # Of the throttle at which most of the flight has a specific force near g. With less, and that force, something else carries the vehicle:
 # no climb, descent, battery or ground effect doubles the thrust per throttle.
 _CARRIED = 0.5
+_LIFTS = 0.9  # of the throttle in free air: rotors 0.8 radii above the ground carry the vehicle with it (Cheeseman and Bennett, 1955)
+_WORTH_S = (
+    3.0  # of a low hover at either end: less holds no window of free flight, and may be a lift-off or a touch-down
+)
 _FALLEN_S = 1.0  # upside down for so long: no flip lasts longer, and thrust downwards has made 20 m/s
 # Control is lost where roll or pitch is further than this from all that was asked for in the last second (ArduCopter's crash check,
 # crash_check.cpp: CRASH_CHECK_ANGLE_DEVIATION_DEG), and was since an attitude that followed.
@@ -105,7 +109,10 @@ def _idle(recording: Recording, start: float, end: float, t: FloatArray) -> tupl
     if not recording.has("throttle"):
         return np.zeros(t.size, dtype=bool), np.zeros(t.size, dtype=bool)
     begins, ends = _driven(recording, start, end)
-    known, _ = recording.channel("throttle")
+    known, throttle = recording.channel("throttle")
+    known = known[np.isfinite(throttle)]  # rows at the end of a table that was cut off have none
+    if not known.size:
+        return np.zeros(t.size, dtype=bool), np.zeros(t.size, dtype=bool)
     before = (t < begins) & (t >= max(begins - _ASIDE_S, known[0]))
     return before, (t > ends) & (t <= min(ends + _ASIDE_S, known[-1]))
 
@@ -123,11 +130,25 @@ def _off_ground(recording: Recording, start: float, end: float) -> tuple[float, 
     before, after = _idle(recording, start, end, t)
     first = int(np.argmax(height > _ground(height, before) + _LOW_M))
     last = t.size - 1 - int(np.argmax(height[::-1] > _ground(height, after) + _LOW_M))
-    if first > 0 and _still(recording, t[0], t[max(first // 2, 1)], _slow(before)):
-        start = float(t[first])
-    if last < t.size - 1 and _still(recording, t[(last + t.size) // 2], t[-1], _slow(after)):
-        end = float(t[last])
+    up, down = float(t[first]), float(t[last])
+    grounded = before.any() or not _hovers(recording, (start, up), start, (up, down))
+    if first > 0 and grounded and _still(recording, t[0], t[max(first // 2, 1)], _slow(before)):
+        start = up
+    grounded = after.any() or not _hovers(recording, (down, end), end - _STANDS_S, (up, down))
+    if last < t.size - 1 and grounded and _still(recording, t[(last + t.size) // 2], t[-1], _slow(after)):
+        end = down
     return start, end
+
+
+def _hovers(recording: Recording, low: tuple[float, float], outermost: float, high: tuple[float, float]) -> bool:
+    """Whether a stretch near the lowest height begins or ends, in the second from `outermost` on, with the throttle of the flight above it:
+    that is no spooling up or down on the ground. (A record that ends in a hover of 28 s at 1.1 m was called the ground.)"""
+    if not recording.has("throttle") or low[1] - low[0] < _WORTH_S:
+        return False
+    t, throttle = recording.channel("throttle")
+    spans = ((outermost, outermost + _STANDS_S), high)
+    edge, above = (throttle[(t >= a) & (t <= b) & np.isfinite(throttle)] for a, b in spans)
+    return bool(edge.size and above.size) and float(np.median(edge)) > _LIFTS * float(np.median(above))
 
 
 def _ground(height: FloatArray, idle: NDArray[np.bool_]) -> float:

@@ -105,10 +105,9 @@ def _outlook(recording: Recording, segments: Sequence[Segment]) -> tuple[tuple[P
     free = [s for s in segments if s.usable and s.kind == "free"]
     usable = [*steps, *free[:: max(1, len(free) // MOST_WINDOWS)]]
     if not segments:
-        return (
-            (),
-            "There is no flight in this recording: the time budget (--all shows it) says what became of its time.",
-        )
+        flown = round(_air_s(recording, segments)) > 0
+        nothing = "No response can be cut from" if flown else "There is no flight in"
+        return (), f"{nothing} this recording: the time budget (--all shows it) says what became of its time."
     if nothing_asked(segments):
         return (), f"What it determines was not computed: {NOTHING_ASKED}."
     if not usable:
@@ -208,6 +207,8 @@ def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
     if not segments:
         begin, end = recording.t_span_s
         kind = f"A recording of {duration(end - begin)} with no flight in it"
+        if round(air_s) > 0:  # as `import` says
+            kind = f"A recording of {duration(end - begin)}, {duration(air_s)} of it in the air, from which no response can be cut"
     elif len(steps) >= STEPS_OF_A_MANEUVER:
         marked = any(m.kind == "leg" for m in recording.markers)
         kind = f"A {'maneuver ' if marked else ''}flight of {duration(air_s)} with {len(steps)} usable steps"
