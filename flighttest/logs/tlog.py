@@ -10,7 +10,7 @@ import numpy as np
 from flighttest.errors import RecordingError
 from flighttest.logs.ardupilot.importer import DEFAULT_ACCEL_FILTER_HZ, known_filters
 from flighttest.logs.opening import LogFile, name_of
-from flighttest.logs.other_vehicles import refuse_by_type
+from flighttest.logs.other_vehicles import quadplane, refuse_by_type
 from flighttest.logs.timing import clock_steps, held_union, outliers
 from flighttest.mavlink import WANTED
 from flighttest.mavlink.dialect import dialect
@@ -36,7 +36,7 @@ def import_tlog(path: Path) -> Recording:
         decoded = decoder.result()
     except RecordingError as error:
         raise RecordingError(f"{path}: {error.message}", error.hint) from error
-    refuse_by_type(path, decoded.vehicle_type, decoded.parameters)
+    winged = refuse_by_type(path, decoded.vehicle_type, decoded.parameters)
     others = sorted({system for system, _ in decoder.autopilots} - {decoded.vehicle_system})
     if others:
         losses.append(
@@ -49,7 +49,7 @@ def import_tlog(path: Path) -> Recording:
         losses.append(
             f"INS_ACCEL_FILTER was not recorded: the autopilot's default of {DEFAULT_ACCEL_FILTER_HZ:g} Hz is assumed"
         )
-    return Recording(
+    recording = Recording(
         name=name_of(path),
         series=series,
         markers=decoded.markers,
@@ -72,6 +72,7 @@ def import_tlog(path: Path) -> Recording:
             autopilot=decoded.board,
         ),
     )
+    return quadplane(path, recording) if winged else recording
 
 
 def _with_targets(series: dict[str, Series], derived: dict[str, str]) -> tuple[dict[str, Series], dict[str, str]]:

@@ -17,7 +17,7 @@ from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs.heights import ranged_height
 from flighttest.logs.opening import LogFile, name_of
-from flighttest.logs.other_vehicles import refuse_by_px4
+from flighttest.logs.other_vehicles import refuse_by_px4, vtol_of_px4
 from flighttest.logs.timing import held_union, ordered, outliers
 from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY
 from flighttest.recording import Marker, Provenance, Recording, Series
@@ -106,6 +106,7 @@ class _Importer:
 
     def recording(self) -> Recording:
         """All series that the log allows."""
+        kinds = vtol = np.zeros(0)
         if (status := self._topic("vehicle_status")) is not None:
             kinds, vtol = (np.asarray(status[1].get(name, ())) for name in ("vehicle_type", "is_vtol"))
             refuse_by_px4(self.path, {int(k) for k in kinds}, bool(vtol.any()))
@@ -130,7 +131,7 @@ class _Importer:
                 f"{self.path}: neither attitude nor acceleration nor velocity is in the log",
                 "log the default topics (SDLOG_PROFILE bit 0)",
             )
-        return Recording(
+        recording = Recording(
             name=name_of(self.path),
             series=series,
             markers=tuple(self._markers(series)),
@@ -147,6 +148,7 @@ class _Importer:
                 autopilot=str(self.log.msg_info_dict.get("sys_uuid") or ""),
             ),
         )
+        return vtol_of_px4(recording, status[0], kinds) if status is not None and vtol.any() else recording
 
     def _topic(self, name: str) -> tuple[FloatArray, Fields] | None:
         """Times (n,), s, and fields of the first instance of a topic."""

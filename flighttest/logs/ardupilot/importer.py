@@ -22,7 +22,7 @@ from flighttest.logs.ardupilot.text_log import messages
 from flighttest.logs.ardupilot.times import Stamped, Times
 from flighttest.logs.heights import ranged_height
 from flighttest.logs.opening import LogFile, name_of
-from flighttest.logs.other_vehicles import refuse_by_firmware
+from flighttest.logs.other_vehicles import quadplane, refuse_by_firmware
 from flighttest.logs.timing import ordered
 from flighttest.mavlink import offset_m
 from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY, motor_columns
@@ -116,7 +116,7 @@ class _Importer:
         self.choices: dict[str, str] = {}
         self.parameters = logged_parameters(self.tables)
         self.firmware = firmware(self.tables)
-        refuse_by_firmware(path, self.firmware, self.parameters)
+        self.winged = refuse_by_firmware(path, self.firmware, self.parameters)
 
     def recording(self) -> Recording:
         """All series that the log allows."""
@@ -141,7 +141,7 @@ class _Importer:
                 "set LOG_BITMASK so that ATT, IMU and XKF1 are logged",
             )
         marks = sorted([*marks, *parameter_changes(self.tables.get("PARM"))], key=lambda m: m.t_s)
-        return Recording(
+        recording = Recording(
             name=name_of(self.path),
             series=series,
             markers=tuple(marks),
@@ -158,6 +158,7 @@ class _Importer:
                 autopilot=board(self.tables),
             ),
         )
+        return quadplane(self.path, recording) if self.winged else recording
 
     @staticmethod
     def _put(series: dict[str, Series], group: str, found: Series | None) -> None:
