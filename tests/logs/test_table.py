@@ -394,6 +394,33 @@ def test_names_in_the_comment_above_the_numbers_are_those_of_the_columns(tmp_pat
     np.testing.assert_allclose(attitude.columns["roll_rad"], np.sin(t))
 
 
+@pytest.mark.parametrize("separator", [",", " ", "   ", "\t"])
+def test_a_table_without_a_line_of_names_is_read_by_the_numbers_of_its_columns(tmp_path, t, separator):
+    """Its first row was taken for the names ("no column of this table is a channel (0.003, nan, nan.1, ...)"), and a map of it had to name
+    columns by the numbers in them; columns parted by blanks were one."""
+    rows = np.stack([t, np.sin(t), 0.1 * t], axis=1)
+    np.savetxt(tmp_path / "a.txt", rows, fmt="%.6f", delimiter=separator)
+    with pytest.raises(RecordingError) as refused:
+        import_log(tmp_path / "a.txt")
+    assert "called c1 to c3" in refused.value.hint
+    (tmp_path / "map.yaml").write_text("format: columns/1\ncolumns: {t_s: c1, roll_rad: c2, pitch_rad: c3}\n")
+    recording = import_log(tmp_path / "a.txt", tmp_path / "map.yaml")
+    np.testing.assert_allclose(recording.channel("roll_rad")[1], np.sin(t), atol=1e-6)
+    assert any("no line of names" in loss for loss in recording.provenance.losses)
+
+
+def test_columns_that_are_named_by_counting_keep_these_names(tmp_path, t):
+    pd.DataFrame({"0": t, "1": np.sin(t)}).to_csv(tmp_path / "a.csv", index=False)
+    (tmp_path / "map.yaml").write_text('format: columns/1\ncolumns: {t_s: "0", roll_rad: "1"}\n')
+    np.testing.assert_allclose(import_log(tmp_path / "a.csv", tmp_path / "map.yaml").channel("roll_rad")[1], np.sin(t))
+
+
+def test_names_above_columns_that_are_parted_by_blanks(tmp_path, t):
+    """What numpy.savetxt writes unless it is asked for commas."""
+    np.savetxt(tmp_path / "a.txt", np.stack([t, np.sin(t)], axis=1), header="t_s roll_rad")
+    np.testing.assert_allclose(import_log(tmp_path / "a.txt").channel("roll_rad")[1], np.sin(t))
+
+
 def test_rotor_speeds_are_squared_motor_by_motor(tmp_path, t):
     assert motors(tmp_path, t, "{mean: [m1, m2], power: 2, scale: 1.0e-5}") == pytest.approx(0.5)
 

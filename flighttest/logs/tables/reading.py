@@ -7,6 +7,7 @@ import re
 import struct
 import warnings
 import zlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -64,8 +65,11 @@ def _text(file: LogFile, data: bytes) -> Sheet:
         raise RecordingError(
             f"{file.path}: the table has no rows", "it needs a line of column names and lines of values"
         )
-    separator = max(",;\t", key=lambda mark: lines[0].count(mark))
+    separator = _separator(lines)
     names = _commented_names(text, lines[0], separator)
+    unnamed = names is None and _is_unnamed(lines[0], separator)
+    if unnamed:
+        names = [f"c{k + 1}" for k in range(len(_cells(lines[0], separator)))]
     # Where commas separate nothing, and no number has a point, they are what others write as a point.
     values = "\n".join(lines if names else lines[1:])
     comma = separator != "," and re.search(r"\d,\d", values) and not re.search(r"\d\.\d", values)
@@ -74,8 +78,9 @@ def _text(file: LogFile, data: bytes) -> Sheet:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", pd.errors.ParserWarning)
             frame = pd.read_csv(
-                io.StringIO(text), sep=separator, comment="#", skipinitialspace=True, on_bad_lines="warn", low_memory=False,
-                index_col=False, skip_blank_lines=True, decimal="," if comma else ".", names=names, header=None if names else 0,
+                io.StringIO(text), sep=r"\s+" if separator == " " else separator, comment="#", skipinitialspace=True,
+                on_bad_lines="warn", low_memory=False, index_col=False, skip_blank_lines=True, decimal="," if comma else ".",
+                names=names, header=None if names else 0,
             )  # fmt: skip
         skipped = [int(n) for one in caught for n in re.findall(r"Skipping line (\d+)", str(one.message))]
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError) as error:
@@ -83,6 +88,8 @@ def _text(file: LogFile, data: bytes) -> Sheet:
             f"{file.path}: this is not a table: {error}", "see docs/formats.md for plain tables"
         ) from error
     sheet = _sheet(file, frame)
+    if unnamed and names:
+        sheet.losses.append(f"the table has no line of names: its columns are called c1 to {names[-1]}, in their order")
     if zeroed:
         sheet.losses.append(f"{zeroed} lines hold zero bytes (a card that lost power?) and were left out")
     if skipped:
@@ -92,13 +99,32 @@ def _text(file: LogFile, data: bytes) -> Sheet:
     return sheet
 
 
+def _separator(lines: Sequence[str]) -> str:
+    """What stands between the values of a row; a blank where nothing else does, and two rows have as many words."""
+    found = max(",;\t", key=lambda mark: lines[0].count(mark))
+    words = [len(line.split()) for line in lines[:2]]
+    return " " if found not in lines[0] and words[0] == words[1] > 1 else found
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    return line.split() if separator == " " else [value.strip() for value in line.split(separator)]
+
+
 def _commented_names(text: str, first: str, separator: str) -> list[str] | None:
     """Column names of a table that has them in the comment above its numbers, as numpy.savetxt writes them; None where it has not."""
     above = [line for line in text[: text.find(first)].splitlines() if line.startswith("#")]
-    if not above or not all(_NUMBER.fullmatch(value.strip()) for value in first.split(separator)):
+    if not above or not all(_NUMBER.fullmatch(value) for value in _cells(first, separator)):
         return None
-    names = [name.strip() for name in above[-1].lstrip("#").split(separator)]
-    return names if len(names) == first.count(separator) + 1 > 1 else None
+    names = _cells(above[-1].lstrip("#"), separator)
+    return names if len(names) == len(_cells(first, separator)) > 1 else None
+
+
+def _is_unnamed(first: str, separator: str) -> bool:
+    """Whether the first row is one of values: numbers that do not count the columns, as what writes tables without names does."""
+    cells = _cells(first, separator)
+    if len(cells) < 2 or not all(_NUMBER.fullmatch(cell) for cell in cells):
+        return False
+    return not any(cells == [str(k + start) for k in range(len(cells))] for start in (0, 1))
 
 
 def _without_zeros(file: LogFile, text: str) -> tuple[str, int]:

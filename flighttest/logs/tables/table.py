@@ -70,7 +70,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
             shown = ", ".join(sheet.names[:12])
             raise RecordingError(
                 f"{path}: no column of this table is a channel ({shown})",
-                "; ".join([*guesses, "describe it with --columns map.yaml (docs/formats.md)"]),
+                "; ".join([*guesses, *sheet.losses, "describe it with --columns map.yaml (docs/formats.md)"]),
             )
         losses += [_not_read(name, guess) for name, guess in unread.items()]
     t_s, pieces = _one_after_another(_tame(_time(path, sheet, plan), losses), losses)
