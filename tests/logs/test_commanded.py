@@ -5,7 +5,7 @@ import pytest
 
 from flighttest import read
 from flighttest.frames import G_M_S2
-from flighttest.logs.tables.commanded import misread_commands
+from flighttest.logs.tables.commanded import misread_commands, sampled_throttle
 
 T = np.arange(0.0, 60.0, 0.02)
 REFERENCES = {"roll_ref_rad": "roll_rad", "pitch_ref_rad": "pitch_rad", "yaw_rate_ref_rad_s": "r_rad_s"}
@@ -113,3 +113,48 @@ def test_the_import_of_a_table_reports_them(tmp_path):
     said = "; ".join(read(path).provenance.losses)
     assert "throttle is 0.98 or more" in said
     assert "pitch_ref_rad is -" in said
+
+
+def sampled_every(period_s):
+    """A throttle that wanders, and what a table of 50 Hz holds of it where it was sampled so slowly and repeated; idle for 10 s."""
+    rng = np.random.default_rng(3)
+    at = np.arange(0.0, T[-1] + period_s, period_s)
+    samples = 0.4 + 0.02 * np.cumsum(rng.normal(0.0, 1.0, at.size)) / np.sqrt(at.size)
+    samples[(at > 20.0) & (at < 30.0)] = 0.0
+    return at, samples, samples[np.searchsorted(at, T, side="right") - 1]
+
+
+def test_a_throttle_that_was_measured_slowly_is_a_line_between_its_samples():
+    """Rotor speeds by the telemetry of motor controllers, three a second in a table of 91 Hz, were cut into 54 throttle steps of a hover
+    and 137 of a flight at speed; K was at its bound of 1 m/s^2."""
+    at, samples, held = sampled_every(0.34)
+    line, said = sampled_throttle(T, held)
+    assert "every 0.34 s" in said
+    assert "commands" in said
+    flying = (T < 19.5) | ((T > 31.0) & (at[-2] > T))
+    late = np.abs(np.interp(T, at, samples) - line)[flying]
+    assert np.max(late) < np.max(np.abs(held - line)[flying])
+    assert float(np.median(line[(T > 21.5) & (T < 29.0)])) == 0.0
+
+
+def test_the_import_of_a_table_draws_that_line(tmp_path):
+    held = sampled_every(0.34)[2]
+    path = tmp_path / "flight.csv"
+    rows = np.stack([T, held, np.zeros(T.size)], axis=1)
+    np.savetxt(path, rows, delimiter=",", header="t_s,throttle,roll_rad", comments="")
+    recording = read(path)
+    assert any("repeated between" in loss for loss in recording.provenance.losses)
+    t, throttle = recording.channel("throttle")
+    np.testing.assert_allclose(throttle, np.interp(t, T, sampled_throttle(T, held)[0]), atol=1e-9)
+
+
+@pytest.mark.parametrize("period_s", [0.02, 0.1, 1.0])
+def test_a_throttle_that_was_commanded_is_held(period_s):
+    assert sampled_throttle(T, sampled_every(period_s)[2]) is None
+
+
+def test_a_throttle_that_is_new_at_uneven_times_is_held():
+    rng = np.random.default_rng(5)
+    at = np.cumsum(rng.uniform(0.1, 0.6, 300))
+    held = rng.normal(0.4, 0.02, 301)[np.searchsorted(at, T, side="right")]
+    assert sampled_throttle(T, held) is None

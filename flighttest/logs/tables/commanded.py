@@ -26,7 +26,43 @@ _FEWEST_S = 5.0
 _UPRIGHT = 0.5
 _RESTS_M_S, _RESTS_S = 0.15, 1.0  # as `segments.airborne`
 _FULL = 0.98  # 1 less what is idle; at full throttle every multirotor that flies with less accelerates upwards
+_SLOWEST_LOOP_S, _SHORTEST_HOLD_S = 0.105, 0.5  # slower than 10 Hz no attitude loop and no stick is read
+_FEWEST_SAMPLES = 20
+_UNEVEN, _MOSTLY = 0.25, 0.9  # of the usual time between samples; of the samples
 _TURNED = "if its 0 is full throttle, turn it in a column map (--columns): `scale: -1, offset: 1`"
+
+
+def sampled_throttle(t_s: FloatArray, throttle: FloatArray) -> tuple[FloatArray, str] | None:
+    """A throttle that was sampled more slowly than the table's rows and repeated, as a line between its samples (n,), and the sentence that
+    says so; None where it is a command. Loops that keep a multirotor in the air command it faster than `_SLOWEST_LOOP_S`, and no script
+    holds one value for less than `_SHORTEST_HOLD_S`: what is new at an even pace between the two was measured, as rotor speeds are by the
+    telemetry of motor controllers.
+
+    t_s: (n,) s; throttle: (n,); NaN where missing.
+    """
+    order = np.argsort(t_s, kind="stable")
+    order = order[np.isfinite(t_s[order]) & np.isfinite(throttle[order])]
+    if order.size < 2:
+        return None
+    t, values = t_s[order], throttle[order]
+    new = np.concatenate([[True], np.diff(values) != 0.0])
+    apart = np.diff(t[new])
+    if apart.size < _FEWEST_SAMPLES:
+        return None
+    usual_s = float(np.median(apart))
+    even = np.abs(apart / usual_s - np.round(apart / usual_s)) < _UNEVEN
+    if not _SLOWEST_LOOP_S < usual_s < _SHORTEST_HOLD_S or np.mean(even) < _MOSTLY:
+        return None
+    # What was idle between two flights is no line from the last value of the one to the first of the other.
+    rests = (
+        np.append(np.diff(t) < usual_s, True) & ~new & (t - t[np.flatnonzero(new)[np.cumsum(new) - 1]] > 2.0 * usual_s)
+    )
+    known = new | rests
+    line = np.where(np.isfinite(t_s), np.interp(t_s, t[known], values[known], left=np.nan, right=np.nan), np.nan)
+    return line, (
+        f"throttle is new every {usual_s:.2g} s and repeated between: it was measured, not commanded (rotor speeds by telemetry?); a line "
+        "was drawn between its samples, and no step is seen in it; map the commands if they were recorded"
+    )
 
 
 def misread_commands(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[str]:

@@ -20,7 +20,7 @@ from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.tables.agreement import disagreements, gravity_warnings
 from flighttest.logs.tables.columns import STEP, ColumnMap, ColumnSource, load_columns, plain_map
-from flighttest.logs.tables.commanded import misread_commands
+from flighttest.logs.tables.commanded import misread_commands, sampled_throttle
 from flighttest.logs.tables.crazyflie import beyond_limits, crazyflie_map, mixed_commands
 from flighttest.logs.tables.reading import read_sheet
 from flighttest.logs.tables.ros_bag import MAGIC, read_bag
@@ -84,6 +84,9 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
                     "thrust and torque commands, mixed as the firmware does (power_distribution_quadrotor.c)"
                 )
     _without_battery(found, losses)
+    if "throttle" in found and (sampled := sampled_throttle(t_s, found["throttle"])) is not None:
+        found["throttle"] = sampled[0]
+        losses.append(sampled[1])
     losses += [*disagreements(t_s, found), *misread_commands(t_s, found)]
     _derive(t_s, found, derived)
     series = _grouped(t_s, found, losses)
