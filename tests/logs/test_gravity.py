@@ -1,4 +1,4 @@
-"""A specific force in g or with z down is reported."""
+"""A specific force in g, with z down, or that is none is reported."""
 
 import numpy as np
 import pytest
@@ -16,6 +16,9 @@ def t():
     [
         ("", 1.0, ()),
         ("", 1 / 9.81, ("`unit: g`",)),
+        ("", 1 / 6.0, ("hold something else",)),
+        ("", 100.0, ("have another unit",)),
+        ("", 2.0, ()),
         ("", -1.0, ("write `frame: {body: FRD}`",)),
         ("", -1 / 9.81, ("`unit: g`", "write `frame: {body: FRD}`")),
         ("frame: {body: FRD}\n", -1.0, ()),

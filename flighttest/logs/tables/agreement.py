@@ -190,13 +190,16 @@ def correlated(t_s: FloatArray, values: FloatArray, reference: FloatArray) -> tu
 
 
 _ONE_G = (0.7, 1.4)  # median length of a specific force in g; in m/s^2 nothing that flies or stands has it
+# Median length of a specific force: what is carried has g, and no flight has less than a third of that, or more than three times, for half
+# of its time.
+_NO_FORCE = (3.3, 29.4)
 _ENOUGH = 10  # samples
 _UP = 0.5  # of the length, for the vertical part to decide the frame
 
 
 def gravity_warnings(found: Mapping[str, FloatArray], body: Literal["FLU", "FRD"], mapped: bool) -> list[str]:
-    """Sentences with a remedy where the specific force looks to be in g, or to have z down. found: channels as imported; body: the frame
-    that the column map declares; mapped: whether there is a map."""
+    """Sentences with a remedy where the specific force looks to be in g, to be none, or to have z down. found: channels as imported; body:
+    the frame that the column map declares; mapped: whether there is a map."""
     up = names("specific_force")[2]
     if up not in found:
         return []
@@ -211,6 +214,11 @@ def gravity_warnings(found: Mapping[str, FloatArray], body: Literal["FLU", "FRD"
         doubts.append(
             f"the specific force is usually {length:.2f} m/s^2 long, where 9.81 is expected: it looks to be in g; if so, give its "
             f"columns `unit: g` in {where}, as in {up}: {{from: {up}, unit: g}}"
+        )
+    elif not _NO_FORCE[0] < length < _NO_FORCE[1]:
+        doubts.append(
+            f"the specific force is usually {length:.3g} m/s^2 long, where 9.81 is expected: its columns have another unit, or hold "
+            f"something else (angular rates?); name unit and columns in {where}"
         )
     if vertical < -_UP * length:
         if body == "FRD":
