@@ -8,7 +8,14 @@ import pytest
 from flighttest.errors import FitError
 from flighttest.pipeline.diagnosis import diagnose as diagnosis
 from flighttest.pipeline.identification import fitting as analysis
-from flighttest.pipeline.recordings.consistency import conflicts, deduplicate, inconsistencies, repeated, unfiltered
+from flighttest.pipeline.recordings.consistency import (
+    conflicts,
+    deduplicate,
+    inconsistencies,
+    not_carried,
+    repeated,
+    unfiltered,
+)
 from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.recording import Provenance, Recording, Series
 
@@ -65,6 +72,29 @@ def test_a_filter_that_was_not_declared_is_a_doubt():
     stated = Recording("stated", series, (), Provenance("", "table", filters={"specific_force": 20.0}))
     assert "not stated for bare:" in unfiltered([stated, bare, Recording("still", {}, (), Provenance("", "table"))])
     assert unfiltered([stated]) == ""
+
+
+@pytest.mark.parametrize(
+    ("reads", "gains", "said"),
+    [
+        (4.2, 0.0, "reads 4.2 m/s^2 up in the mean of the flight, and by the velocity 9.8"),
+        (8.2, 0.0, ""),  # an old one's error
+        (9.81, 0.0, ""),
+        (19.6, 9.8, ""),  # thrown upwards: the velocity shows it
+    ],
+)
+def test_an_accelerometer_that_does_not_carry_the_vehicle_is_a_doubt(reads, gains, said):
+    """Of a hover in a hardware-in-the-loop simulation whose accelerometer read half of g, K was known as 9.1 m/s^2, with which nothing
+    flies, nothing was missing, and no word was said of it."""
+    t = np.arange(0.0, 20.0, 0.05)
+    series = {
+        "specific_force": Series(t, {"f_x_m_s2": 0 * t, "f_y_m_s2": 0 * t, "f_z_m_s2": np.full(t.size, reads)}),
+        "velocity": Series(t, {"v_x_m_s": 0 * t, "v_y_m_s": 0 * t, "v_z_m_s": gains * t}),
+        "attitude": Series(t, {"roll_rad": 0 * t, "pitch_rad": 0 * t, "yaw_rad": 0 * t}),
+        "reference": Series(t, {"throttle": np.full(t.size, 0.5)}),
+    }
+    doubt = not_carried([Recording("hover", series, (), Provenance("", "table"))])
+    assert said in doubt if said else doubt == ""
 
 
 def test_every_doubt_is_reported_and_the_gravest_first():

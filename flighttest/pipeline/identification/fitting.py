@@ -284,6 +284,8 @@ def fit(
     result = finish_fit(found, segments, recordings, declared, output, [named(r) for r in runs])
     files = [r for r in runs if isinstance(r, Path)]
     facts = dict(result.document.facts)
+    if doubtful:
+        facts["careful"] = "; ".join(doubtful)
     if output is not None and found.status.good and len(files) == len(runs):
         named_by = "".join(
             f" {option} {shlex.quote(str(path))}"
