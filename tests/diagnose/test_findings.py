@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose.answer import TOGETHER, PartAnswer, error_left
-from flighttest.diagnose.conclusion import predicted_worse, verdict_of
+from flighttest.diagnose.conclusion import predicted_worse, sentence_of, verdict_of
 from flighttest.diagnose.findings import parameter_table, share_gained, with_owner
 from flighttest.diagnose.model import EXPLAINED_SHARE, Verdict
 from flighttest.diagnose.output_error.reported import undetermined_sizes
@@ -143,3 +143,12 @@ def test_what_is_explained_in_one_channel_makes_up_for_nothing_in_another(stays,
 )
 def test_a_sentence_begins_with_whose_the_term_is_where_it_is_no_physics(term, begins):
     assert with_owner(catalogue()[term], "it lags") == begins
+
+
+@pytest.mark.parametrize(("left", "removed"), [(0.9995, "less than 1 %"), (0.51, "49 %")])
+def test_what_is_named_never_removes_nothing(left, removed):
+    """Of a pilot's flight: "The base model lacks: turning moves roll and pitch. Adding it removes 0 % of the error"."""
+    named = SimpleNamespace(title="Turning moves roll and pitch", rivals=(), term="turn_axes")
+    assert f"Adding it removes {removed} of the {WITH_GUSTS}." in sentence_of(
+        Verdict.EXPLAINED, [named], (left, WITH_GUSTS), [], True
+    )
