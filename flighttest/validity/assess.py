@@ -197,7 +197,7 @@ def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str, not_seen
         return f"Current: nothing that is declared has changed since the model was flown{matched}{limit}."
     determined = list(dict.fromkeys(t.subset for t in tests))
     blind = [s for s in SUBSETS if s not in determined]
-    nothing = f"; it contains no information on {', '.join(blind)}" if blind else ""
+    nothing = f"; on {', '.join(blind)} it, or the model's own recordings, contain no information" if blind else ""
     return (
         f"Current: the new recording agrees with the model in {', '.join(determined)}{nothing}.{_of_effects(not_seen)}"
     )

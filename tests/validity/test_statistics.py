@@ -320,6 +320,15 @@ def test_a_slower_thrust_is_not_called_less_thrust():
         assert ("another mass (weigh it)" in found.could_also_be) is not lag
 
 
+def test_what_the_model_did_not_determine_is_not_called_a_want_of_the_recording():
+    """A recording that determines ten parameters "contains no information on attitude, yaw, drag": the model had K alone."""
+    values, covariance = np.array([50.0, 25.0]), np.diag([0.04, 0.04])
+    stored = Estimates("m", ("K",), values[:1], covariance[:1, :1])
+    new = Estimates("r", ("K", "omega_phi"), values, covariance)
+    said = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=stored, new=RecordingEvidence(runs=[new]))
+    assert "on attitude, yaw, drag it, or the model's own recordings, contain no information" in said.sentence
+
+
 @pytest.mark.parametrize(("differs", "known"), [(0.005, True), (0.08, False)])
 def test_a_mass_is_excluded_only_by_a_drag_that_would_show_it(differs, known):
     """Thrust per throttle had fallen by 7.5 %, "and not the mass", where drag was tested for changes of 20 % and more."""
