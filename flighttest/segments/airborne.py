@@ -75,8 +75,8 @@ def _whole(recording: Recording) -> tuple[float, float]:
         down = []  # the last flight has no landing: it ended in a crash, or the recording ended first
     if up:
         start = up[0] + _ASIDE_S
-    if down:
-        end = down[-1] - 0.5
+    if down:  # ArduCopter says so once it has stood with falling throttle for a second or two
+        end = min(down[-1], _off_ground(recording, start, down[-1])[1]) - 0.5
     if not up:
         start = max(start, _driven(recording, start, end)[0], _off_ground(recording, start, end)[0])
     if not down:

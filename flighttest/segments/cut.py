@@ -362,7 +362,7 @@ class _Cutter:
                 known[: before[-1]] = False
             if known.any():
                 edges = ed.compressed(references.t_s[a:b][known], values[known])
-                out[name] = ed.centred(*edges) if name in self.recording.provenance.polled else edges
+                out[name] = ed.between_polls(*edges) if name in self.recording.provenance.polled else edges
         return out
 
 

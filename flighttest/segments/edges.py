@@ -25,6 +25,7 @@ _PAIR_HOLD_S = 1.6  # a throttle held no longer than this before the next thrott
 _RATE_MAX_HZ = 110.0
 _SILENCE_S = 2.0
 _SLOWEST_POLL_S = 0.1
+_LINE_S = 0.02  # of a line between readings that is one value: half of it is a few percent of a motor's lag
 
 
 @dataclass(frozen=True)
@@ -126,16 +127,31 @@ def compressed(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
     return t_s[keep], values[keep]
 
 
-def centred(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Edges (m,) of a signal that was read off at a logger's times, each moved half way to the reading before.
+def between_polls(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Edges (m,) of a signal that was read off at a logger's times, from its changes (n,) there.
 
-    Held from reading to reading it would be late by half a period on the average, and the delay too small by as much.
+    Where readings further apart than `_LINE_S` differ from one to the next, the signal is on the line between them, in pieces of that
+    length with the value in their middle. Else it is held, each change half way to the reading before. Held from reading to reading it
+    would be late by half a period on the average, and the delay too small by as much.
     """
     if t_s.size < 2:
         return t_s, values
     gaps = np.diff(t_s)
     period = min(float(np.median(gaps)), _SLOWEST_POLL_S)
-    return t_s - 0.5 * np.minimum(np.concatenate([[period], gaps]), period), values
+    moves = (gaps <= 1.5 * period) & (gaps > 1.5 * _LINE_S)
+    edges, made = [t_s[:1] - 0.5 * period], [values[:1]]
+    for k in range(gaps.size):
+        if not moves[k]:
+            edges.append(t_s[k + 1 : k + 2] - 0.5 * min(float(gaps[k]), period))
+            made.append(values[k + 1 : k + 2])
+            continue
+        bounds = np.linspace(t_s[k], t_s[k + 1], int(np.ceil(gaps[k] / _LINE_S)) + 1)
+        edges.append(bounds[:-1])
+        made.append(np.interp(0.5 * (bounds[1:] + bounds[:-1]), t_s[k : k + 2], values[k : k + 2]))
+        if k + 1 == gaps.size or not moves[k + 1]:  # it rests
+            edges.append(t_s[k + 1 : k + 2])
+            made.append(values[k + 1 : k + 2])
+    return np.concatenate(edges), np.concatenate(made)
 
 
 def plateaus(references: References, tolerance: Tolerance) -> list[Plateau]:

@@ -246,6 +246,18 @@ def test_a_stretch_with_a_hole_is_estimated_from_what_is_beside_it():
     assert abs(found.values["K"] - GAIN) < 3.0 * found.std["K"]
 
 
+def test_an_accelerometer_that_was_logged_less_often_than_attitudes_is_used_at_its_own_samples():
+    """Attitudes at 400 Hz beside an accelerometer at 25 Hz, as ArduCopter logs them where attitudes are fast: no sample had a neighbour,
+    and a flight of 140 s was refused."""
+    (whole,) = stretches(flight(40, 3, gust=0.2))
+    seldom = np.arange(whole.t_s.size) % 3 == 0
+    y = {n: np.where(seldom, v, np.nan) if n.startswith("f_") else v for n, v in whole.y.items()}
+    found = estimate([replace(whole, y=y)], Model(attitude_loops=False), free=NAMES)
+    assert found.period_s == pytest.approx(3.0 * float(np.median(np.diff(whole.t_s))))
+    assert found.values["K"] == pytest.approx(TRUTH["K"], rel=0.03)
+    assert found.values["d_x"] == pytest.approx(TRUTH["d_x"], rel=0.25)
+
+
 @pytest.mark.slow
 def test_equations_of_the_wrong_form_widen_intervals():
     """A force by the square of the speed, fitted by a line: the square recurs with the state."""

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from flighttest.channels import INPUTS
+from flighttest.estimation.responses import zero_order_hold
 from flighttest.recording import Marker, Series
 from flighttest.segments import Flaw, cut
+from flighttest.segments.edges import between_polls
 
 
 def phase(t, leg, label, **data):
@@ -352,14 +354,26 @@ def test_a_landing_ends_where_the_height_says(fly):
     assert {s.t_s[0] < 108 for s in segments} == {True, False}
 
 
-def test_a_target_read_off_at_the_loggers_times_is_moved_half_way_back(fly):
-    """Held from one reading to the next, a target that changes all the time would come half a period late."""
+def test_a_target_read_off_at_the_loggers_times_is_a_line_between_them(fly):
+    """Held from one reading to the next, a target that changes all the time would come half a period late; held from half way, a step would
+    be asked for before it was."""
     swing = [(0.05, 0.1 * np.sin(0.3 * k), 0.0, 0.0, 0.25) for k in range(200)]
     found = fly(swing).recording()
-    own = replace(found.provenance, importer="ardupilot_bin", derived={"roll_ref_rad": "stands in"})
-    sent, polled = (cut(recording)[1].u["roll_ref_rad"][0] for recording in (found, replace(found, provenance=own)))
-    assert np.median(np.diff(sent)) == pytest.approx(0.05, abs=0.011)
-    assert np.median(sent - polled) == pytest.approx(0.5 * np.median(np.diff(sent)), abs=0.006)
+    own = replace(found.provenance, importer="ardupilot_bin", derived={"roll_ref_rad": "derived"})
+    sent, polled = (cut(recording)[1].u["roll_ref_rad"] for recording in (found, replace(found, provenance=own)))
+    assert np.median(np.diff(sent[0])) == pytest.approx(0.05, abs=0.011)
+    t = np.arange(sent[0][2], sent[0][-3], 0.001)
+    assert zero_order_hold(polled, t) == pytest.approx(np.interp(t, *sent), abs=0.0076)  # as much as it moves in 10 ms
+    assert np.abs(zero_order_hold(sent, t) - np.interp(t, *sent)).max() > 0.02
+
+
+def test_a_slow_reading_rests_until_half_way_and_moves_on_a_line():
+    t, value = between_polls(np.array([0.0, 0.1, 0.2, 1.2, 1.3]), np.array([0.0, 1.0, 2.0, 7.0, 8.0]))
+    at = zero_order_hold((t, value), np.array([0.01, 0.15, 0.199, 0.21, 1.14, 1.16, 1.25, 1.31]))
+    assert at == pytest.approx([0.1, 1.5, 1.9, 2.0, 2.0, 7.0, 7.5, 8.0], abs=0.1)
+    t, value = between_polls(np.array([0.0, 0.02, 0.04]), np.array([1.0, 2.0, 3.0]))  # fast ones are as good as held
+    assert t == pytest.approx([-0.01, 0.01, 0.03])
+    assert value.tolist() == [1.0, 2.0, 3.0]
 
 
 def test_a_table_has_its_edges_to_a_row(campaign):

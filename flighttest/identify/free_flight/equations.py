@@ -36,8 +36,10 @@ class Equations:
     @cached_property
     def period_s(self) -> float:
         """Time between the samples of the residuals."""
-        sampled = sampling_period_s(self.flown)
-        return sampled if self.part == "translation" else max(sampled, ATTITUDE_MEANS_S)
+        if self.part != "translation":
+            return max(sampling_period_s(self.flown), ATTITUDE_MEANS_S)
+        every = [np.diff(t) for flight in self.flights for one in self._of(flight) for t in one.times]
+        return float(np.median(np.concatenate(every)))
 
     @cached_property
     def params(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from flighttest.estimation.interpolation import filled
 from flighttest.estimation.responses import attitude_angles, zero_order_hold
 from flighttest.frames import G_M_S2, rotation_from_euler
-from flighttest.identify.free_flight.chunks import Chunks, InitialValues
+from flighttest.identify.free_flight.chunks import LEAST_SAMPLES, Chunks, InitialValues
 from flighttest.identify.free_flight.stretches import Residual, unbroken
 from flighttest.physics.blocks import ACCELERATION, FORCE, MEASURED_FORCE, VELOCITY
 from flighttest.physics.model import Model
@@ -91,11 +91,14 @@ class TranslationEquations:
         force = tuple(n for n in FORCE if all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown))
         self.outputs = force or ACCELERATION
         self.chunks = Chunks(flown, self.block, self.outputs, model, long_memory=swings, changed=measured)
-        seen = (np.stack([s.y[n] for n in (force or VELOCITY)], axis=1) for s in flown)
-        self.measured = [self.chunks.along(k, one) for k, one in enumerate(seen)]
+        recorded = (np.stack([s.y[n] for n in (force or VELOCITY)], axis=1) for s in flown)
+        along = [self.chunks.along(k, one) for k, one in enumerate(recorded)]
+        # A log may have written accelerations less often than attitudes: their samples are a series of their own.
+        self.seen = [np.flatnonzero(np.isfinite(one).all(axis=1)) for one in along]
+        self.measured = [one[at] for one, at in zip(along, self.seen, strict=True)]
         states = (s.once("state", partial(_state, s, v)) for s, v in zip(flown, measured, strict=True))
-        self.states = [self.chunks.along(k, one) for k, one in enumerate(states)]
-        self.times = [self.chunks.along(k, s.t_s) for k, s in enumerate(flown)]
+        self.states = [self.chunks.along(k, one)[self.seen[k]] for k, one in enumerate(states)]
+        self.times = [self.chunks.along(k, s.t_s)[self.seen[k]] for k, s in enumerate(flown)]
 
     @property
     def params(self) -> tuple[str, ...]:
@@ -108,7 +111,10 @@ class TranslationEquations:
     ) -> Iterator[Residual]:
         """Of every stretch without gaps."""
         for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names, initial)):
-            t, seen, state = self.times[k], self.measured[k], self.states[k]
+            t, at, seen, state = self.times[k], self.seen[k], self.measured[k], self.states[k]
+            if t.size < LEAST_SAMPLES:
+                continue
+            predicted, slopes = predicted[at], slopes[at]
             shift = int(self.outputs == ACCELERATION)  # an increment belongs to the sample at its end
             if self.outputs == ACCELERATION and LATENCY in values:
                 column = names.index(LATENCY) if LATENCY in names else None
@@ -123,7 +129,7 @@ class TranslationEquations:
                 good = np.isfinite(residual[:, c]) & np.isfinite(slopes[:, c]).all(axis=1)
                 for a, b in unbroken(t, good):
                     began = self.chunks.initial_states(
-                        k, slopes[a:b, c, len(names) :], slice(a + shift, b + shift), initial
+                        k, slopes[a:b, c, len(names) :], at[a + shift : b + shift], initial
                     )
                     yield Residual(channel, residual[a:b, c], slopes[a:b, c, : len(names)], state[a:b], began)
 

@@ -41,7 +41,7 @@ WANTED: dict[str, tuple[str, ...] | None] = {
     "RATE": (*_TIME, "R", "P", "Y", "YDes", "AOut"),
     "IMU": (*_TIME, "I", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
     "GUIA": (*_TIME, "Type", "Roll", "Pitch", "Yaw", "RollRt", "PitchRt", "YawRt", "Thrust", "ClimbRt"),
-    "CTUN": (*_TIME, "ThI", "ThO", "ThrIn", "ThrOut", "AngBst"),
+    "CTUN": (*_TIME, "ThI", "ThO", "ABst", "ThrIn", "ThrOut", "AngBst"),
     "RCOU": (*_TIME, *(f"{prefix}{k}" for prefix in ("C", "Ch") for k in range(1, 15))),
     "BAT": _BATTERY,
     "CURR": _BATTERY,

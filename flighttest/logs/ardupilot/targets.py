@@ -108,18 +108,18 @@ class Targets:
         return held_union(parts) if parts else None
 
     def _asked_of_the_motors(self) -> tuple[TargetPart, str] | None:
-        """The throttle that the mode asked for before boost for tilt, and where it comes from.
+        """The throttle that the mode asked for before boost for tilt, and where it comes from: what went to the motors less the boost.
 
-        Until Copter 3.3 ThrIn is the pilot's stick, which says nothing of the thrust in a mode that holds the height; what the mode
-        asked for is what went to the motors less the boost.
+        What a mode that holds its height asks for goes through a low-pass filter of 2 Hz (POSCONTROL_THROTTLE_CUTOFF_FREQ_HZ), which is no
+        lag of the motors; until Copter 3.3 ThrIn is the pilot's stick. AOut may have been logged more often than ThO.
         """
-        if (asked := self._ctun("throttle", "ThI", "ThrIn")) is not None:
-            return asked, "CTUN: the throttle the mode asked for, before tilt boost"
-        out, boost = self._ctun("throttle", "ThrOut"), self._ctun("throttle", "AngBst")
-        if out is None or boost is None:
-            return None
-        asked = out[0], {"throttle": np.clip(out[1]["throttle"] - boost[1]["throttle"], 0.0, 1.0)}
-        return asked, "CTUN: ThrOut less the boost for tilt (AngBst), as ThrIn is the pilot's stick in this log"
+        out, boost = self.output(), self._ctun("throttle", "ABst", "AngBst")
+        if out is not None and boost is not None:
+            lifted = np.interp(out.t_s, boost[0], boost[1]["throttle"])
+            asked = np.clip(out.columns["throttle_out"] - lifted, 0.0, 1.0)
+            return (out.t_s, {"throttle": asked}), "what went to the motors less the boost for tilt (CTUN)"
+        only = self._ctun("throttle", "ThI", "ThrIn")
+        return None if only is None else (only, "CTUN: the throttle the mode asked for, before tilt boost")
 
     def _ctun(self, channel: str, *names: str) -> TargetPart | None:
         """The first of the fields that the log has, 0..1, of those that the autopilot's own throttle is in."""
