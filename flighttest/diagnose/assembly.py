@@ -11,6 +11,7 @@ from flighttest.diagnose.answer import Asked, PartAnswer, error_left, listed, me
 from flighttest.diagnose.conclusion import (
     UNMOVED,
     UNTRIED,
+    carried_otherwise,
     compensated_voltage,
     different_delays,
     moved_parameters,
@@ -69,7 +70,13 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
     staying = {c for a in answers for c in a.staying}
     share, error = error_left(answers)
     unexplained = any(a.unexplained for a in answers)
-    so_far = verdict_of(named=bool(findings), located=bool(located), unexplained=unexplained)
+    otherwise = carried_otherwise(after)
+    so_far = verdict_of(
+        named=bool(findings), located=bool(located or otherwise), unexplained=unexplained or bool(otherwise)
+    )
+    said = sentence_of(so_far, findings, (share, error), located, complete)
+    if otherwise:
+        said = f"{said} {otherwise}" if findings or located else otherwise
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
     nameless = searches and so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)
     formulas = _described(asked, searches, staying) if nameless else []
@@ -82,7 +89,7 @@ def assembled(asked: Asked, answers: Sequence[PartAnswer], flyable: Flyable) -> 
     proposal = _next(searches, findings, unseen, catalogued, fits) if complete else None
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what was not searched for is neither missing nor explained
-        sentence=sentence_of(so_far, findings, (share, error), located, complete)
+        sentence=said
         + predicted_worse(merged(a.heldout for a in answers))
         + moved_parameters(asked.previous, after)
         + unlike_flights(_pushes(final_fit) if searches else {}),

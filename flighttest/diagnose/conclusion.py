@@ -26,7 +26,8 @@ UNTRIED = "not looked for to the end: the search was interrupted"
 
 
 def verdict_of(*, named: bool, located: bool, unexplained: bool) -> Verdict:
-    """The answer as a whole: whether anything is named, is located without what is named, stays unexplained in a channel with it."""
+    """The answer as a whole: whether anything is named, is located without what is named or carries the vehicle beside the model, stays
+    unexplained in a channel with it."""
     if not named:
         return Verdict.UNKNOWN_PHYSICS if located else Verdict.NOTHING_MISSING
     return Verdict.PARTLY if unexplained else Verdict.EXPLAINED
@@ -107,6 +108,18 @@ def _per_cent(ratio: float) -> float:
 
 def _larger(ratio: float) -> str:
     return f"{ratio:.2g} times the error" if ratio >= 2.0 else f"{_per_cent(ratio):g} % more error"
+
+
+def carried_otherwise(table: Mapping[str, ParameterRow]) -> str:
+    """That thrust by the throttle does not carry the vehicle, in a sentence; empty where it does. K follows from hovering alone; at its
+    bound, the disturbances that each window has of its own carried the weight, and no mismatch is left to see."""
+    gain = table.get("K")
+    if gain is None or not gain.get("at_bound"):
+        return ""
+    return (
+        f"K is at its bound ({float(gain['value']):.3g} m/s^2): thrust by this throttle does not carry the vehicle, so that nothing can be "
+        "said of what is missing. Is it the throttle of these motors, in the right unit, and did the vehicle fly freely?"
+    )
 
 
 def different_delays(table: Mapping[str, ParameterRow]) -> list[str]:

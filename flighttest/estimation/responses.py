@@ -130,7 +130,7 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
             return zero_order_hold(segment.u[f"{axis}_ref_rad"], t - attitude_delay_s)
         return exogenous(segment, f"{axis}_rad", nominal_voltage_v, attitude_delay_s)
     if name in _TURNING:
-        return _turning(segment, name)
+        return filled(t, y[name], 0.0) if name.endswith("_dot_rad_s2") and name in y else _turning(segment, name)
     if name in _ANGLES:
         return attitude_angles(segment)[:, _ANGLES.index(name)]
     return filled(t, y.get(name), 0.0)

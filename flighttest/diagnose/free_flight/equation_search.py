@@ -1,15 +1,15 @@
 """Which terms of the catalogue a part of free flight needs, by its prediction errors: forward selection with backward elimination, one
 wind per flight.
 
-Each step screens every term (`equation_screen`), estimates the most significant ones anew beside all other parameters, and takes the
-one with the largest quasi-likelihood: log likelihood of the innovations divided by the variance inflation that the robust covariance
-shows (QAIC: Burnham and Anderson 2002, section 2.5), less half the logarithm of the number of blocks per parameter (Schwarz 1978). A
-term is named when its coefficients are significant by the robust covariance as well, at a level divided by the number of terms
-(Bonferroni), its estimates are admissible, of what was not used no more channels are surely predicted worse with it than better (the
-noise of each model is estimated with it, and a worse model of redder noise can be the likelier one), and its effect is large enough
-(`effect_size`). A smaller one has no name; of an instrument it is estimated beside the others: left out, it is in the noise, in which
-a load of 6.5 noise floors was not seen beside an accelerometer's lever arm of 0.049 m/s^2. Wind is looked for first, against what looks
-like it at one heading (`identify.winds`).
+Each step screens every term (`equation_screen`), estimates the most significant ones anew beside all other parameters, further ones where
+none of them is taken, and takes the one with the largest quasi-likelihood: log likelihood of the innovations divided by the variance
+inflation that the robust covariance shows (QAIC: Burnham and Anderson 2002, section 2.5), less half the logarithm of the number of blocks
+per parameter (Schwarz 1978). A term is named when its coefficients are significant by the robust covariance as well, at a level divided
+by the number of terms (Bonferroni), its estimates are admissible, of what was not used the errors that surely change do not grow in their
+geometric mean (the noise of each model is estimated with it, and a worse model of redder noise can be the likelier one), and its effect
+is large enough (`effect_size`). A smaller one has no name; of an instrument it is estimated beside the others: left out, it is in the
+noise, in which a load of 6.5 noise floors was not seen beside an accelerometer's lever arm of 0.049 m/s^2. Wind is looked for first,
+against what looks like it at one heading (`identify.winds`).
 """
 
 from __future__ import annotations
@@ -235,11 +235,15 @@ def _step(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term
     # The noise of an attitude lasts as long as what air does to it, and holds that until it is in the model: the score test of blocks says
     # little of it.
     level, odds = level_of(len(known)), math.inf if asked.part == "translation" else log_odds_asked(len(known))
-    significant = [s for s in found.screened if s.p_value < level or s.nats > odds][:TRIED]
-    if _taken(significant, found, asked, known):
-        return True
+    significant = [s for s in found.screened if s.p_value < level or s.nats > odds]
+    picks = significant[:TRIED]
+    while picks:
+        if _taken(picks, found, asked, known):
+            return True
+        # None that is significant is left out for want of an estimate.
+        picks = [s for s in significant if s.term not in found.refused][:TRIED]
     # A swing that lasts is in the noise of a model without it, where a score test does not see it.
-    untried = (s for s in found.screened if s not in significant and s.term not in found.refused)
+    untried = (s for s in found.screened if s.term not in found.refused)
     return _taken([s for s in untried if has_unknown_initial_state(known[s.term])], found, asked, known)
 
 

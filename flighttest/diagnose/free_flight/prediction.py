@@ -11,7 +11,6 @@ import numpy as np
 from flighttest.diagnose.answer import SEED
 from flighttest.diagnose.model import short
 from flighttest.diagnose.records import HeldOutRow
-from flighttest.diagnose.selection.held_out import worse_in_more
 from flighttest.estimation.equation_error import (
     Autoregression,
     Whitened,
@@ -66,9 +65,14 @@ def held_out_table(
 
 
 def against_larger(table: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
-    """As of `worse_in_more`, by the intervals of a table of `held_out_table`."""
-    gains = [row["all"]["gain_95"] for row in table.values()]
-    return worse_in_more(sum(high < 0.0 for _, high in gains), sum(low > 0.0 for low, _ in gains))
+    """Why the larger model of a table of `held_out_table` is not taken: of the errors that surely change, the geometric mean grows; empty
+    where it does not. (By counting channels, one 25 % better let pass another 68 % worse.)"""
+    rows = [row["all"] for row in table.values()]
+    surely = [r for r in rows if r["gain_95"][0] > 0.0 or r["gain_95"][1] < 0.0]
+    grown = float(np.exp(np.mean([np.log(r["rmse_after"] / r["rmse_before"]) for r in surely]))) if surely else 1.0
+    return (
+        f"of what was not used, errors that surely change grow by {100.0 * (grown - 1.0):.0f} %" if grown > 1.0 else ""
+    )
 
 
 def _errors(values: FloatArray, noise: Autoregression, of: FreeFlight) -> FloatArray:
