@@ -306,6 +306,15 @@ def test_where_nothing_is_missing_nothing_is_named():
     assert not found.named
 
 
+@pytest.mark.parametrize("weather", [None, {"calm": "still"}])
+def test_a_wind_at_one_heading_is_not_ruled_out(weather):
+    """2.1 m/s of wind were "not needed" on a hover at one heading."""
+    found = diagnose(calm(), Model(), only=("steady_wind", "attitude_offset"), weather=weather)
+    why = {u.term: u.why for u in found.untestable}.get("steady_wind", "")
+    assert why.startswith("at one heading") is (weather is None)
+    assert "steady_wind" not in found.not_needed or weather is not None
+
+
 def test_declared_still_air_is_no_candidate():
     found = diagnose(calm(), Model(), weather={"calm": "still"}, only=("steady_wind",))
     assert not found.candidates

@@ -33,11 +33,13 @@ from flighttest.estimation.linearisation import Linearisation
 from flighttest.identify.free_flight import FreeFlight, stretches
 from flighttest.identify.free_flight.winds import WIND_TERM, FlightWind, in_still_air
 from flighttest.identify.selection import able
+from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 FROM_EQUATIONS = "what is left beside every variable recorded: gusts and noise of the free flight itself"
+ONE_HEADING = "at one heading a wind and an attitude offset tilt the vehicle alike"
 NO_COLUMN = "the accelerometer shows forces without the velocity, whose latency is then in the drag alone"
 
 
@@ -86,6 +88,9 @@ def by_prediction_errors(part: str, asked: Asked, winds: Sequence[FlightWind] = 
         made.levels[term.id] = size, name
         if why := why_unseen(term, size, name):
             made.unseen.append(Untestable(term.id, why, term.reveals))
+    if not (loops or search.turned or search.declared) and WIND_TERM in {*search.offered} - {*search.named}:
+        made.unseen = [u for u in made.unseen if u.term != WIND_TERM]
+        made.unseen.append(Untestable(WIND_TERM, ONE_HEADING, catalogue()[WIND_TERM].reveals))
     if not loops:
         made.unseen += [
             Untestable(t.id, NO_COLUMN, t.reveals)
