@@ -44,9 +44,7 @@ def sentence_of(
     names = ", ".join(_name(f) for f in findings)
     if verdict is Verdict.EXPLAINED:
         gone = 100 * max(0.0, 1 - share)
-        much = (
-            f"{gone:.0f}" if round(gone) else "less than 1"
-        )  # significant all the same: most of what gusts and noise do is no model's
+        much = f"{gone:.0f}" if round(gone) else "less than 1"  # most of what gusts and noise do is no model's
         it = "it" if len(findings) == 1 else "them"
         return f"The base model lacks: {names}. Adding {it} removes {much} % of the {error}.{more}"
     if verdict is Verdict.PARTLY:

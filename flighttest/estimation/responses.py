@@ -100,7 +100,8 @@ def outputs_of(
 
 
 def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_delay_s: float) -> FloatArray:
-    """One measured signal (`physics.blocks.EXOGENOUS`) at the segment's times; angles unwrapped."""
+    """One measured signal (`physics.blocks.EXOGENOUS`) at the segment's times; angles unwrapped. An angular acceleration is that of the
+    gyroscope, where the segment has no channel of its own for it."""
     key = (
         name,
         nominal_voltage_v if name == "voltage_v" else 0.0,

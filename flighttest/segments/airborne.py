@@ -25,9 +25,7 @@ _RESTS_M_S2 = 0.5  # specific force of what stands differs from g by less
 # no climb, descent, battery or ground effect doubles the thrust per throttle.
 _CARRIED = 0.5
 _LIFTS = 0.9  # of the throttle in free air: rotors 0.8 radii above the ground carry the vehicle with it (Cheeseman and Bennett, 1955)
-_WORTH_S = (
-    3.0  # of a low hover at either end: less holds no window of free flight, and may be a lift-off or a touch-down
-)
+_WORTH_S = 3.0  # of a low hover at either end: less holds no window, and may be a lift-off or a touch-down
 _FALLEN_S = 1.0  # upside down for so long: no flip lasts longer, and thrust downwards has made 20 m/s
 # Control is lost where roll or pitch is further than this from all that was asked for in the last second (ArduCopter's crash check,
 # crash_check.cpp: CRASH_CHECK_ANGLE_DEVIATION_DEG), and was since an attitude that followed.

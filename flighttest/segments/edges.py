@@ -138,11 +138,14 @@ def between_polls(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, Floa
         return t_s, values
     gaps = np.diff(t_s)
     period = min(float(np.median(gaps)), _SLOWEST_POLL_S)
+    half_way = t_s - 0.5 * np.minimum(np.concatenate([[period], gaps]), period)
     moves = (gaps <= 1.5 * period) & (gaps > 1.5 * _LINE_S)
-    edges, made = [t_s[:1] - 0.5 * period], [values[:1]]
+    if not moves.any():
+        return half_way, values
+    edges, made = [half_way[:1]], [values[:1]]
     for k in range(gaps.size):
         if not moves[k]:
-            edges.append(t_s[k + 1 : k + 2] - 0.5 * min(float(gaps[k]), period))
+            edges.append(half_way[k + 1 : k + 2])
             made.append(values[k + 1 : k + 2])
             continue
         bounds = np.linspace(t_s[k], t_s[k + 1], int(np.ceil(gaps[k] / _LINE_S)) + 1)

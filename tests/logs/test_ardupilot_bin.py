@@ -194,33 +194,32 @@ def test_the_throttle_asked_for_is_no_pilots_stick(dataflash, tmp_path, codes, l
     assert r.provenance.derived["throttle"].startswith("what went to the motors less the boost for tilt")
 
 
-def test_the_throttle_is_read_where_it_is_logged_most_often(dataflash, tmp_path):
-    """What a mode that holds its height asks for goes to the motors through a filter of 2 Hz, and was read at 10 Hz beside rates of 400: a
-    vehicle's motors had a lag of 0.18 s for 0.055 s."""
-    log = with_attitude(dataflash())
-    log.format("CTUN", "Qffff", "TimeUS,ThI,ABst,ThO,ThH")
+def two_rates(log, codes, labels, ctun, out):
+    """Throttle in RATE at 50 Hz, by a function of the row, and in CTUN at 10 Hz."""
+    log = with_attitude(log)
+    log.format("CTUN", codes, labels)
     log.format("RATE", "Qfffffff", "TimeUS,RDes,R,PDes,P,YDes,Y,AOut")
     for k in range(100):
         us = 10_000_000 + 20_000 * k
         log.write("ATT", us, 0, 0, 0, 0, 0, 0)
-        log.write("RATE", us, 0, 0, 0, 0, 0, 0, 0.4 + 0.001 * k)
+        log.write("RATE", us, 0, 0, 0, 0, 0, 0, out(k))
         if k % 5 == 0:
-            log.write("CTUN", us, 0.9, 0.02, 0.4, 0.4)
+            log.write("CTUN", us, *ctun)
+    return log
+
+
+def test_the_throttle_is_read_where_it_is_logged_most_often(dataflash, tmp_path):
+    """What a mode that holds its height asks for goes to the motors through a filter of 2 Hz, and was read at 10 Hz beside rates of 400: a
+    vehicle's motors had a lag of 0.18 s for 0.055 s."""
+    ctun = (0.9, 0.02, 0.4, 0.4)
+    log = two_rates(dataflash(), "Qffff", "TimeUS,ThI,ABst,ThO,ThH", ctun, lambda k: 0.4 + 0.001 * k)
     _, throttle = import_log(log.save(tmp_path / "a.bin")).channel("throttle")
     assert np.count_nonzero(np.diff(throttle)) == 99
     assert throttle[[0, -1]] == pytest.approx([0.38, 0.479], abs=1e-6)
 
 
 def test_the_throttle_of_the_rate_message_has_the_range_of_its_time(dataflash, tmp_path):
-    log = with_attitude(dataflash())
-    log.format("CTUN", "Qhhf", "TimeUS,ThrIn,AngBst,ThrOut")
-    log.format("RATE", "Qfffffff", "TimeUS,RDes,R,PDes,P,YDes,Y,AOut")
-    for k in range(100):
-        us = 10_000_000 + 20_000 * k
-        log.write("ATT", us, 0, 0, 0, 0, 0, 0)
-        log.write("RATE", us, 0, 0, 0, 0, 0, 0, 720.0)
-        if k % 5 == 0:
-            log.write("CTUN", us, 480, 20, 720.0)
+    log = two_rates(dataflash(), "Qhhf", "TimeUS,ThrIn,AngBst,ThrOut", (480, 20, 720.0), lambda _: 720.0)
     assert import_log(log.save(tmp_path / "a.bin")).channel("throttle_out")[1] == pytest.approx(0.72)
 
 

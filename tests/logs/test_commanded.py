@@ -153,6 +153,10 @@ def test_a_throttle_that_was_commanded_is_held(period_s):
     assert sampled_throttle(T, sampled_every(period_s)[2]) is None
 
 
+def test_a_few_values_at_an_even_pace_are_commands():
+    assert sampled_throttle(T[:200], sampled_every(0.34)[2][:200]) is None
+
+
 def test_a_throttle_that_is_new_at_uneven_times_is_held():
     rng = np.random.default_rng(5)
     at = np.cumsum(rng.uniform(0.1, 0.6, 300))

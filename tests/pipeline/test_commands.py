@@ -176,6 +176,13 @@ def test_a_program_is_reported_as_well_that_a_flight_was_fitted(call, model, fli
 
 
 @pytest.mark.slow
+def test_a_fit_says_what_makes_its_recordings_doubtful(call, free_csv, tmp_path):
+    """It was among the notes of the model file alone."""
+    out = " ".join(call("fit", free_csv, "-o", tmp_path / "model.yaml")[1].split())
+    assert "careful the accelerometer's filter is not stated for free" in out
+
+
+@pytest.mark.slow
 def test_a_model_that_predicts_worse_than_none_is_called_so(call, model, free_csv, tmp_path):
     """0.70 m/s after 1 s, where the last measurement was off by 0.38, was said to be smaller than with no drag, on a green page."""
     document = yaml.safe_load(model.read_text())

@@ -168,19 +168,20 @@ def test_a_throttle_that_is_recorded_from_the_first_command_on_says_nothing_of_t
 
 
 @pytest.mark.parametrize(
-    ("low", "found"),
+    ("low", "from_s", "found"),
     [
-        (0.47, [(0, 60)]),  # the throttle of the flight above, less what the ground saves: a hover
-        (0.30, [(0, 21)]),  # with that it stands
+        (0.47, 20.0, [(0, 60)]),  # the throttle of the flight above, less what the ground saves: a hover
+        (0.30, 20.0, [(0, 21)]),  # with that it stands
+        (0.47, 56.5, [(0, 58)]),  # less than 3 s of it may be a touch-down
     ],
 )
-def test_a_record_that_ends_in_a_low_hover_is_flight_to_its_end(low, found):
+def test_a_record_that_ends_in_a_low_hover_is_flight_to_its_end(low, from_s, found):
     """Of 18 step responses from 2.1 to 1.1 m above the ground, or from 1.2 to 0.2 m, 27 s of 34 s were called the ground. The last rows of
     four had no throttle: no idle one."""
     t = np.arange(0.0, 60.0, 0.05)
     series = {
-        "reference": Series(t, {"throttle": np.where(t < 21.0, 0.5, np.where(t > 59.92, np.nan, low))}),
-        "height": Series(t, {"height_m": np.interp(t, [20.0, 22.0], [2.1, 1.1])}),
+        "reference": Series(t, {"throttle": np.where(t < from_s + 1.0, 0.5, np.where(t > 59.92, np.nan, low))}),
+        "height": Series(t, {"height_m": np.interp(t, [from_s, from_s + 2.0], [2.1, 1.1])}),
         "velocity": Series(t, {f"v_{axis}_m_s": np.full(t.size, 0.01) for axis in "xyz"}),
     }
     made = Recording("made", series, (), Provenance("made", "table"))
