@@ -16,7 +16,7 @@ from flighttest.diagnose.free_flight.effect_size import EffectSize
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.estimates import null_inside_interval
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
-from flighttest.diagnose.free_flight.reported import candidates_of
+from flighttest.diagnose.free_flight.reported import candidates_of, smallest_of
 from flighttest.diagnose.model import Rival, TermVerdict
 from flighttest.diagnose.records import WITH_GUSTS
 from flighttest.estimation.responses import exogenous
@@ -265,6 +265,44 @@ def test_the_floor_of_what_was_not_used_is_that_of_the_better_model():
     for channel, rows in one.items():
         assert rows["all"]["floor"] == pytest.approx(other[channel]["all"]["floor"])
         assert rows["all"]["floor"] <= min(rows["all"]["rmse_before"], rows["all"]["rmse_after"])
+
+
+def test_errors_without_means_are_those_that_vary():
+    biased = [replace(s, y={**s.y, "f_x_m_s2": s.y["f_x_m_s2"] + 0.4}) for s in flight(60.0, 21, gust=0.05)]
+    found = find_terms(stretches(biased), ALONE, ())
+    whole, varying = (held_out_table(found.flown, found.base, found.base, means=m)["f_x"]["all"] for m in (True, False))
+    assert whole["rmse_before"] > 0.3
+    assert varying["rmse_before"] == varying["rmse_after"] < 0.1
+
+
+@pytest.mark.parametrize(("worse", "named"), [((), True), ((True,), True), ((False,), True), ((True, False), False)])
+def test_a_name_goes_where_it_predicts_worse_with_means_and_without(monkeypatch, worse, named):
+    """A load of 200 nats, and arms, were refused for a constant alone: by how much thrust by its slope at hover misses the whole thrust."""
+
+    def table(*_, means=True):
+        after = 2.0 if means in worse else 0.5
+        return {"x": {"all": {"rmse_before": 1.0, "rmse_after": after, "floor": 0.5, "gain_95": [1.0 - after] * 2}}}
+
+    monkeypatch.setattr(equation_search, "held_out_table", table)
+    found = find_terms(stretches(tilted()), ALONE, (catalogue()["attitude_offset"],))
+    assert ("attitude_offset" in found.named) is named
+    assert found.errors["attitude_offset"]["offset_pitch"] < 0.01
+
+
+def test_what_would_have_been_named_is_by_the_estimate_that_was_refused():
+    """Of moments of the air, whose trim is estimated with them, score tests had a sixth of the standard error of the estimate."""
+    found = find_terms(stretches(tilted()), ALONE, TILTS)
+    term, name, size = next(iter(smallest_of(replace(found, errors={}), TILTS)))
+    for error in (size, 10.0 * size):
+        sizes = {n: s for _, n, s in smallest_of(replace(found, errors={term.id: {name: error}}), TILTS)}
+        assert sizes[name] == pytest.approx(error * sizes_per_error(found))
+
+
+def sizes_per_error(found):
+    """Smallest size that would have been named, over the standard error."""
+    screened = next(s for s in found.screened if s.std)
+    _, name, size = next(iter(smallest_of(replace(found, errors={}, screened=(screened,)), TILTS)))
+    return size / screened.std[name]
 
 
 @pytest.mark.parametrize(

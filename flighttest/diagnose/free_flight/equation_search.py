@@ -77,15 +77,17 @@ class NamedByEquations:
 @dataclass
 class EquationSearch:
     """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
-    anew and not named, with the reason; small: those of them that are in the model, of instruments, with too small an effect; screened:
-    the last score tests; winds: of each flight, empty where none is in the model; turned: whether headings differ enough to part a wind
-    from an attitude offset; complete: False where an interrupt ended the search."""
+    anew and not named, with the reason; errors: of each term estimated anew, standard errors of its coefficients; small: of those refused,
+    the ones that are in the model, of instruments, with too small an effect; screened: the last score tests; winds: of each flight, empty
+    where none is in the model; turned: whether headings differ enough to part a wind from an attitude offset; complete: False where an
+    interrupt ended the search."""
 
     flown: Sequence[Segment]
     base: FreeFlight
     final: FreeFlight
     named: dict[str, NamedByEquations] = field(default_factory=dict)
     refused: dict[str, tuple[float, str]] = field(default_factory=dict)
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
     small: list[str] = field(default_factory=list)
     screened: tuple[Screened, ...] = ()
     offered: tuple[str, ...] = ()
@@ -277,6 +279,7 @@ def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimat
     before = asked.streams(now) if tried else []
     for k, (nats, s, one) in enumerate(tried):
         term = known[s.term]
+        found.errors[s.term] = {p.name: one.std[p.name] for p in term.amplitudes if p.name in one.std}
         effect, p_value = EffectSize.of(before, asked.streams(one)), significance(one, now, term, asked)
         # Alone it takes up whatever tilts the vehicle: a wind is named beside what looks like it (`_wind_first`), or not at all.
         trial = _Trial(term, now, one, nats, p_value)
@@ -329,8 +332,12 @@ def _against(trial: _Trial, asked: ModelEstimates, candidates: int) -> str:
         return why
     estimates = EstimatedModel(found.names, found.values, lambda: found.std, asked.flown)
     least = math.sqrt(2.0 * log_odds_asked(candidates))
-    held = held_out_table(asked.flown, trial.smaller, found)
-    return outside_prior(trial.term, estimates, least) or against_larger(held)
+    if why := outside_prior(trial.term, estimates, least):
+        return why
+    # A name predicts worse where it does so with means and without: what shows the slope of thrust at hover makes a constant error of a
+    # thrust that is not proportional to the throttle, and what tilts the vehicle explains little but means.
+    whole = against_larger(held_out_table(asked.flown, trial.smaller, found))
+    return whole and against_larger(held_out_table(asked.flown, trial.smaller, found, means=False))
 
 
 def _ask_small_ones_again(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> None:

@@ -35,13 +35,14 @@ def groups_left_out(found: FreeFlight) -> tuple[int, str]:
 
 
 def held_out_table(
-    flown: Sequence[Segment], smaller: FreeFlight, larger: FreeFlight
+    flown: Sequence[Segment], smaller: FreeFlight, larger: FreeFlight, *, means: bool = True
 ) -> dict[str, dict[str, HeldOutRow]]:
     """Channel (short) to RMS errors, of groups not used, of two models of these flights: of means over half a second; of attitude loops one
     sample ahead, by the noise of the smaller model, since what gusts do to an attitude lasts.
 
     Parameters without a group by one Gauss-Newton step from the estimate with it; a flight's own wind is taken as estimated. Floor:
-    what the better of the two leaves of what it was estimated from.
+    what the better of the two leaves of what it was estimated from. means: False takes the mean of each group away, as the noise has none
+    (`equation_error.noises`).
     """
     errors = [_left_out(flown, one, smaller.noise) for one in (smaller, larger)]
     table: dict[str, dict[str, HeldOutRow]] = {}
@@ -51,6 +52,10 @@ def held_out_table(
         n = min(before.size, after.size)
         before, after, group = before[:n], after[:n], group[:n]
         members = [np.flatnonzero(group == g) for g in np.unique(group)]
+        if not means:
+            for one in (before, after):
+                for m in members:
+                    one[m] -= one[m].mean()
         sums = np.array([[np.sum(before[m] ** 2), np.sum(after[m] ** 2), m.size] for m in members])
         drawn = sums[rng.integers(0, len(members), (DRAWS, len(members)))].sum(axis=1)
         gains = np.sqrt(drawn[:, 0] / drawn[:, 2]) - np.sqrt(drawn[:, 1] / drawn[:, 2])
