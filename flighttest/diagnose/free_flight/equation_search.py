@@ -77,10 +77,10 @@ class NamedByEquations:
 @dataclass
 class EquationSearch:
     """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
-    anew and not named, with the reason; errors: of each term estimated anew, standard errors of its coefficients; small: of those refused,
-    the ones that are in the model, of instruments, with too small an effect; screened: the last score tests; winds: of each flight, empty
-    where none is in the model; turned: whether headings differ enough to part a wind from an attitude offset; complete: False where an
-    interrupt ended the search."""
+    anew and not named, with the reason; errors: standard errors of the coefficients of each term estimated beside the present model; small:
+    of those refused, the ones that are in the model, of instruments, with too small an effect; screened: the last score tests; winds: of
+    each flight, empty where none is in the model; turned: whether headings differ enough to part a wind from an attitude offset; complete:
+    False where an interrupt ended the search."""
 
     flown: Sequence[Segment]
     base: FreeFlight
@@ -292,13 +292,13 @@ def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimat
             found.refused[s.term] = (nats, why)
             if term.family not in OF_INSTRUMENTS:
                 continue
-            found.final = one
+            found.final, found.errors = one, {}
             found.small.append(s.term)
             return True
         rivals = tuple(
             r.term for n, r, _ in tried if r is not s and nats - n < CHANCE_NATS and (n <= nats or r.term == WIND_TERM)
         )
-        found.final = one
+        found.final, found.errors = one, {}
         found.named[s.term] = NamedByEquations(s.term, nats, p_value, effect.sizes, rivals)
         found.refused.pop(s.term, None)
         for n, r, _ in tried[k + 1 :]:
