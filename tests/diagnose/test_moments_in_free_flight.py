@@ -8,8 +8,8 @@ import pytest
 
 from flighttest.diagnose.free_flight import estimates
 from flighttest.diagnose.free_flight.equation_search import find_terms
-from flighttest.identify.free_flight import estimate, stretches
-from flighttest.identify.free_flight.estimate import covariance_at
+from flighttest.identify.free_flight import stretches
+from flighttest.identify.free_flight.estimate import covariance_at, estimate_beside
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -91,15 +91,15 @@ def test_whether_a_moment_is_there_does_not_depend_on_how_well_the_loop_is_known
 @pytest.mark.slow
 def test_a_term_is_estimated_from_usual_loops_too(monkeypatch):
     """Six flights of a Crazyflie with a load had loops without a moment of the air from where none was found."""
-    starts = []
+    tried = []
 
-    def estimated(flown, model, *, start, **asked):
-        starts.extend((model.terms, dict(one)) for one in start)
-        return estimate(flown, model, start=start, **asked)
+    def estimated(smaller, flown, model, starts, **asked):
+        tried.extend((model.terms, dict(one)) for one in starts)
+        return estimate_beside(smaller, flown, model, starts, **asked)
 
-    monkeypatch.setattr(estimates, "estimate", estimated)
+    monkeypatch.setattr(estimates, "estimate_beside", estimated)
     base = find_terms(flown(MOMENT), Model(), (catalogue()["airflow_moment"],), part="roll_pitch").base
-    of_moments = [start for terms, start in starts if "airflow_moment" in terms][:2]
+    of_moments = [start for terms, start in tried if "airflow_moment" in terms][:2]
     usual = Model().param["omega_phi"].nominal
     assert [start["omega_phi"] for start in of_moments] == [base.values["omega_phi"], usual]
     assert {start["moment_trim_1_s"] for start in of_moments} == {0.0, 1.0}

@@ -163,8 +163,7 @@ def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, asked: Mode
 
 def _score(found: FreeFlight, richest: FreeFlight) -> float:
     """Quasi-log-likelihood less the penalty of the parameters, with the variance inflation of the richest model compared."""
-    penalty = 0.5 * len(found.names) * float(np.log(max(richest.blocks, 2)))
-    return found.log_likelihood / richest.inflation - penalty
+    return found.log_likelihood / richest.inflation - richest.penalty(len(found.names))
 
 
 def _nats(richer: FreeFlight, poorer: FreeFlight) -> float:
@@ -266,10 +265,10 @@ def _taken(picks: Sequence[Screened], found: EquationSearch, asked: ModelEstimat
     if picks:
         rest = f" and {len(picks) - 1} more" if len(picks) > 1 else ""
         asked.support.progress(f"{PART_IN_WORDS[asked.part]}: estimating with {picks[0].term}{rest}")
-    asked.estimate_side_by_side(tries)
+    asked.estimate_side_by_side(tries, now)
     for s, (model, from_values) in zip(picks, tries, strict=True):
         try:
-            estimated.append((s, asked.estimate(model, *from_values)))
+            estimated.append((s, asked.estimate(model, *from_values, smaller=now)))
         except FitError as problem:
             found.refused[s.term] = (-np.inf, str(problem))
     # One inflation for all that are compared, that of the likeliest: by its own, a worse model of more noise would gain less.

@@ -18,7 +18,7 @@ from flighttest.estimation.linearisation import FloatArray
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.free_flight import FreeFlight, estimate
 from flighttest.identify.free_flight.equations import Equations
-from flighttest.identify.free_flight.estimate import covariance_at
+from flighttest.identify.free_flight.estimate import covariance_at, estimate_beside
 from flighttest.identify.free_flight.priors import determined
 from flighttest.identify.free_flight.winds import WIND, WIND_TERM
 from flighttest.physics.core import Term
@@ -42,28 +42,38 @@ class ModelEstimates:
     support: SearchSupport
     _known: dict[tuple[Model, Any], FreeFlight] = field(default_factory=dict)
 
-    def estimate(self, model: Model, *starts: Mapping[str, float]) -> FreeFlight:
+    def estimate(self, model: Model, *starts: Mapping[str, float], smaller: FreeFlight | None = None) -> FreeFlight:
         """From one or several starts, once: what looks like a wind is compared with it and then asked for by itself. Coefficients that
-        are not their term's effect (`not_allowed_beside_others`) are held at their null values, and the rest estimated again."""
+        are not their term's effect (`not_allowed_beside_others`) are held at their null values, and the rest estimated again. smaller: as
+        of `estimate_beside`."""
         key = self._key(model, starts)
         if key not in self._known:
             free = determined(self.flown, model)
-            found = estimate(self.flown, model, part=self.part, start=starts, **self._given(model, free))
+            found = self._estimate(model, starts, free, smaller)
             if held := self._not_estimates(found):
-                free = [n for n in free if n not in held]
                 start = {**found.values, **held}
-                found = estimate(self.flown, model, part=self.part, start=start, **self._given(model, free))
+                found = self._estimate(model, [start], [n for n in free if n not in held], smaller)
             self._known[key] = found
         return self._known[key]
 
-    def estimate_side_by_side(self, tried: Sequence[tuple[Model, Sequence[Mapping[str, float]]]]) -> None:
+    def _estimate(
+        self, model: Model, starts: Sequence[Mapping[str, float]], free: Sequence[str], smaller: FreeFlight | None
+    ) -> FreeFlight:
+        given = self._given(model, free)
+        if smaller is None:
+            return estimate(self.flown, model, part=self.part, start=starts, **given)
+        return estimate_beside(smaller, self.flown, model, starts, **given)
+
+    def estimate_side_by_side(
+        self, tried: Sequence[tuple[Model, Sequence[Mapping[str, float]]]], smaller: FreeFlight | None = None
+    ) -> None:
         """Estimate several models side by side, each from its starts, so that `estimate` has them. One that cannot be is left to it."""
 
         def work(some: Sequence[tuple[Model, Sequence[Mapping[str, float]]]]) -> list[FreeFlight | None]:
             found: list[FreeFlight | None] = []
             for model, starts in some:
                 try:
-                    found.append(self.estimate(model, *starts))
+                    found.append(self.estimate(model, *starts, smaller=smaller))
                 except FitError:
                     found.append(None)
             return found

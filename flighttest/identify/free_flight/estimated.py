@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -81,6 +82,10 @@ class FreeFlight:
     def factor(self, level: float = 0.95) -> float:
         """Half an interval in standard errors (Student's t)."""
         return interval_factor(self.held.dof, level)
+
+    def penalty(self, parameters: int) -> float:
+        """Quasi-log-likelihood that so many parameters have to gain: half the logarithm of the number of blocks each (Schwarz 1978)."""
+        return 0.5 * parameters * math.log(max(self.blocks, 2))
 
     @property
     def std(self) -> dict[str, float]:
