@@ -72,6 +72,28 @@ def test_compiled_outputs_alone_are_those_of_numpy(monkeypatch):
 
 
 @needs_compiler
+def test_responses_have_parameters_of_their_own(monkeypatch):
+    block = next(b for b in Model().blocks if b.name == "translation")
+    rng, known = np.random.default_rng(5), Model().start()
+    some = responses(block, 5, rng)
+    p = np.tile([known[n] for n in block.params], (5, 1))
+    p[:, block.params.index("K")] *= [1.0, 1.1, 0.9, 1.0, 1.2]
+    nodes = Stacked.of(some).nodes(float(block.delay_s(p[0])), 0.012)
+    mask = np.ones((5, max(r.t_s.size for r in some), len(block.outputs)), dtype=bool)
+    integrator = Kernel(block, block.outputs, block.params)
+    local = 0.1 * rng.standard_normal((5, len(integrator.locals)))
+    y, dy = integrator.at_samples(p, local, nodes, mask, True)
+    for j in range(5):
+        alone, slopes = integrator.at_samples(p[j], local, nodes, mask, True)
+        assert np.array_equal(y[j], alone[j])
+        assert np.array_equal(dy[j], slopes[j])
+    monkeypatch.setattr(kernel_module, "library", lambda: None)
+    y_numpy, dy_numpy = integrator.at_samples(p, local, nodes, mask, True)
+    assert np.allclose(y, y_numpy, rtol=1e-11, atol=1e-12)
+    assert np.abs((dy - dy_numpy) / (np.abs(dy_numpy).max(axis=(0, 1)) + 1e-9)).max() < 1e-10
+
+
+@needs_compiler
 def test_a_simulation_that_diverges_is_not_finite(monkeypatch):
     block = next(b for b in Model().blocks if b.name == "roll")
     (response,) = responses(block, 1, np.random.default_rng(1))

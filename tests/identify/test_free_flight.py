@@ -268,6 +268,33 @@ def test_pieces_that_are_integrated_side_by_side_are_one_flight(monkeypatch):
         assert np.abs(many.columns - few.columns).max() < 1e-3 * np.abs(few.columns).max()
 
 
+def test_flights_that_are_integrated_together_are_what_each_is_by_itself():
+    """With a wind and filters of its own each, whether an accelerometer was recorded or not; a delay cannot be a flight's own."""
+    model = Model(attitude_loops=False) + "steady_wind"
+    some = [
+        *stretches(flight(40.0, 1, run="a")),
+        *stretches(flight(30.0, 2, run="b", accelerometer=False)),
+        *stretches(flight(50.0, 3, run="c")),
+        *stretches(flight(30.0, 4, run="d")),
+    ]
+    some[-1] = replace(some[-1], context=replace(some[-1].context, filters={"specific_force": 5.0}))
+    winds = {f"w_north@{run}": wind for run, wind in (("a", 2.0), ("b", -1.0), ("c", -3.0), ("d", 1.0))}
+    values = {**model.start(), **TRUTH, "w_west": 0.5, **winds}
+    names = (*NAMES, "w_north", "w_west")
+    together, columns = Equations(model, some).streams(values, names, ("w_north",))
+    for g, run in enumerate("abcd"):
+        alone, own = Equations(model, [s for s in some if s.run == run]).streams(values, names, ("w_north",))
+        mine = [s for s in together if s.group == g]
+        assert [s.channel for s in mine] == [s.channel for s in alone]
+        for one, other in zip(mine, alone, strict=True):
+            assert np.abs(one.residual - other.residual).max() < 1e-3
+            shared = one.columns[:, [columns.index(n) for n in own]]
+            assert np.abs(shared - other.columns).max() < 1e-3 * np.abs(other.columns).max()
+            assert not one.columns[:, [c.startswith("w_north@") and c not in own for c in columns]].any()
+    with pytest.raises(ValueError, match="have the same delays"):
+        Equations(model, some).streams(values | {"T_d_thrust@a": 0.1}, names, ("T_d_thrust",))
+
+
 def test_a_stretch_with_a_hole_is_estimated_from_what_is_beside_it():
     """Of sixteen pieces one or two lie in a hole of 9 s."""
     (whole,) = stretches(flown())

@@ -201,8 +201,8 @@ static void forced(const pace *at, const lanes *y0, const lanes *ym, const lanes
     *rate = b + 2.0 * u2 * h - at->e21 * a - at->e22 * b;
 }
 
-static void start(machine *now, const block *of, const task *todo, const lanes *d) {
-    for (int64_t i = 0; i < of->n_p; i++) EACH now->w[of->n_x + i][l] = todo->p[i];
+static void start(machine *now, const block *of, const task *todo, const int64_t *who, const lanes *d) {
+    for (int64_t i = 0; i < of->n_p; i++) EACH now->w[of->n_x + i][l] = todo->p[who[l] * of->n_p + i];
     memcpy(now->w + of->n_x + of->n_p + of->n_u + of->n_e, d, of->n_d * sizeof(lanes));
     execute(now->of, now->w, 0, now->of->by_parameters);
     now->fresh = 0;
@@ -267,9 +267,9 @@ int integrate(const block *of, const task *todo) {
         memset(d_k, 0, wide * sizeof(lanes));
         if (n_c)
             for (int64_t i = 0; i < of->n_started; i++) EACH slope[of->started[i] * n_c + of->n_free + i][l] = 1.0;
-        start(&rate, of, todo, d);
-        start(&output, of, todo, d);
-        start(&alone, of, todo, d);
+        start(&rate, of, todo, who, d);
+        start(&output, of, todo, who, d);
+        start(&alone, of, todo, who, d);
 
         for (int64_t step = 0; step < longest; step++) {
             lanes h;

@@ -63,8 +63,9 @@ class Kernel:
     ) -> tuple[FloatArray, FloatArray]:
         """Simulate m responses over k nodes.
 
-        p: (n_params,) values of block.params; local: (m, n_local); nodes: (m, k, n_data) rows of [h, u, e at the start, e at the end].
-        Returns y (m, k, n_outputs) and dy (m, k, n_outputs, n_columns), the latter empty without sensitivities.
+        p: (n_params,) values of block.params, or (m, n_params) for responses of several vehicles or days with the same delay; local: (m,
+        n_local); nodes: (m, k, n_data) rows of [h, u, e at the start, e at the end]. Returns y (m, k, n_outputs) and dy (m, k, n_outputs,
+        n_columns), the latter empty without sensitivities.
         """
         m, k, _ = nodes.shape
         first = k * np.arange(m + 1)
@@ -77,12 +78,13 @@ class Kernel:
         """Simulate m responses at their samples: y (m, n, n_outputs) and dy (m, n, n_outputs, n_columns), the latter 0 where mask (m, n,
         n_outputs) is."""
         m, n, n_y = mask.shape
+        p = np.broadcast_to(p, (m, len(self.block.params)))
         if (native := self._native()) is not None:
-            return native.run(p, local, nodes, mask, self._delay_slope(p), slopes=sensitivities)
+            return native.run(p, local, nodes, mask, self._delay_slope(p[0]), slopes=sensitivities)
         y = np.zeros((m, n, n_y))
         dy = np.zeros((m, n, n_y, self.n_columns if sensitivities else 0))
         for which, stacked, samples in nodes.padded:
-            made, slopes = self._in_numpy(p, local[which], stacked, sensitivities)
+            made, slopes = self._in_numpy(p[which], local[which], stacked, sensitivities)
             for at, (j, sample) in enumerate(zip(which, samples, strict=True)):
                 y[j, : sample.size] = made[at, sample]
                 if sensitivities:
@@ -112,8 +114,8 @@ class Kernel:
         # A trial step of a solver may diverge: its cost is then infinite, and it is refused.
         with np.errstate(all="ignore"):
             made = [
-                self._run(p, local[first : first + some], nodes[first : first + some], sensitivities)
-                for first in range(0, m, some)
+                self._run(p[at], local[at], nodes[at], sensitivities)
+                for at in (slice(first, first + some) for first in range(0, m, some))
             ]
         return np.concatenate([y for y, _ in made]), np.concatenate([dy for _, dy in made])
 
@@ -127,7 +129,7 @@ class Kernel:
         before = np.concatenate([data[1 : 1 + n_u, :1], data[1 : 1 + n_u, :-1]], axis=1)
         flat = data.reshape(len(data), -1)
         now = _Pieces(
-            p,
+            p[0] if (p == p[0]).all() else list(np.tile(p.T, (1, k))),
             flat[0],
             list(flat[1 : 1 + n_u]),
             list(flat[1 + n_u : 1 + n_u + n_e]),
@@ -142,7 +144,7 @@ class Kernel:
         y = self._low_passed([self._observe(now, *at).T for at in states], now.h, shape)
         dy = np.empty((k * m, len(self.outputs), 0))
         if sensitivities:
-            slopes = self._sensitivities(now, list(before.reshape(n_u, -1)), shape)
+            slopes = self._sensitivities(now, list(before.reshape(n_u, -1)), self._delay_slope(p[0]), shape)
             tangents = [self._report(now, *at, slope) for at, slope in zip(states, slopes, strict=True)]
             dy = self._low_passed(tangents, now.h, shape)
         return y.reshape(*shape, -1).swapaxes(0, 1), dy.reshape(*shape, *dy.shape[1:]).swapaxes(0, 1)
@@ -167,7 +169,7 @@ class Kernel:
         x[:, 0] = now.T
         function = self._mapped(m, middles)
         buffer, step = function.buffer()
-        each, d = np.tile(p, m), np.ascontiguousarray(local[:, self._n_free_x :])
+        each, d = np.ascontiguousarray(p), np.ascontiguousarray(local[:, self._n_free_x :])
         size = self._n_x * (2 if middles else 1)
         made, part = np.empty((m, CHAIN, size)), np.empty((m, CHAIN, self.n_data))
         start = np.ascontiguousarray(now)
@@ -211,7 +213,9 @@ class Kernel:
         dy[:, rows[~by_state], columns[~by_state] - self._n_x] += entries[:, ~by_state]
         return dy
 
-    def _sensitivities(self, now: _Pieces, u_before: list[FloatArray], shape: tuple[int, int]) -> list[FloatArray]:
+    def _sensitivities(
+        self, now: _Pieces, u_before: list[FloatArray], delay_slope: FloatArray, shape: tuple[int, int]
+    ) -> list[FloatArray]:
         """Derivatives of the states (n, n_x, n_columns) at the end of each piece; where there are filters at its start and in its middle
         before that. u_before: inputs of the piece before."""
         after, middle = self._pieces(now)
@@ -219,7 +223,7 @@ class Kernel:
         by_x, rest = after[..., :n_x].reshape(*shape, n_x, n_x), after[..., n_x:].reshape(*shape, n_x, n_c)
         rate = self._slopes("x_dot", alone=True)
         kept, new = (rate(list(now.x0), now.p, u, now.e0, now.d)[0] for u in (u_before, now.u))
-        jump = (kept - new).T.reshape(*shape, n_x, 1) * self._delay_slope(now.p)
+        jump = (kept - new).T.reshape(*shape, n_x, 1) * delay_slope
         starts, ends = np.empty((2, *shape, n_x, n_c))
         last = np.zeros((shape[1], n_x, n_c))
         last[:, self._started, len(self.free) + np.arange(self._n_free_x)] = 1.0
@@ -270,10 +274,10 @@ class Kernel:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Some pieces of all responses, n in all: lengths h (n,), rows of inputs, of measured signals at both ends, of disturbances; states
-    before, after and in the middle of each, (n_x, n)."""
+    """Some pieces of all responses, n in all: parameters, the same for all or rows of them; lengths h (n,), rows of inputs, of measured
+    signals at both ends, of disturbances; states before, after and in the middle of each, (n_x, n)."""
 
-    p: FloatArray
+    p: FloatArray | list[FloatArray]
     h: FloatArray
     u: list[FloatArray]
     e0: list[FloatArray]

@@ -112,7 +112,7 @@ class NativeBlock:
     ) -> tuple[FloatArray, FloatArray]:
         """Outputs (m, n, n_outputs) and, with slopes, derivatives (m, n, n_outputs, n_columns), 0 where masked.
 
-        mask: (m, n, n_outputs), n samples of the longest response; delay_slope (n_columns,): of the delay by each column.
+        p: (m, n_params); mask: (m, n, n_outputs), n samples of the longest response; delay_slope (n_columns,): of the delay by each column.
         """
         first = nodes.first
         m, n, _ = mask.shape

@@ -1,4 +1,4 @@
-"""One block of the model over the stretches of one flight, in pieces that are integrated side by side."""
+"""One block of the model over stretches of flight, in pieces that are integrated side by side."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
 from flighttest.estimation.equation_error import InitialStates
+from flighttest.estimation.integration.compiled import late_parameters
 from flighttest.estimation.integration.kernel import Kernel
 from flighttest.estimation.integration.native_block import LANES
 from flighttest.estimation.responses import Response, Stacked, max_step_s, prepare
@@ -57,8 +58,8 @@ class Chunks:
         long_memory: bool = False,
         changed: Sequence[Mapping[str, FloatArray]] = (),
     ) -> None:
-        """long_memory: whether initial states are forgotten slowly; changed: per stretch, channels in the place of those recorded, the same
-        whenever they are given for it."""
+        """flown: of one flight or several, whose channels had the same filters; long_memory: whether initial states are forgotten slowly;
+        changed: per stretch, channels in the place of those recorded, the same whenever they are given for it."""
         self._block, self._outputs = block, outputs
         lead_s, most_s = (MEMORY_S, MEMORY_CHUNK_S) if long_memory else (LEAD_S, CHUNK_S)
         whole_s = sum(float(np.ptp(s.t_s)) for s in flown)
@@ -82,6 +83,8 @@ class Chunks:
         sizes = np.array([r.t_s.size for r in made])
         within = np.arange(sizes.max()) < sizes[:, None]
         self._mask = np.repeat(within[..., None], len(outputs), axis=2)
+        self._late = [block.params.index(n) for n in late_parameters(block)]
+        self._stretch = np.repeat(np.arange(len(cut)), [len(some) for some in cut])
         # Of each stretch the rows of its samples, where those of all pieces are one after the other.
         row = [sizes.max() * i + np.arange(sizes[i])[p.kept] for i, p in enumerate(pieces)]
         ends = np.cumsum([0, *map(len, cut)])
@@ -104,19 +107,24 @@ class Chunks:
         return tuple(self._spread)
 
     def simulated(
-        self, values: Mapping[str, float], names: Sequence[str], initial: InitialValues
+        self, values: Sequence[Mapping[str, float]], names: Sequence[str], initial: InitialValues
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Of every stretch the outputs (n, c) at the samples kept, without disturbances, and their derivatives (n, c, q + k) by q `names`
-        and by the k initial states that nothing measured, in units of their prior standard deviation, about `initial`, 0 where none."""
+        """values: for each stretch, of the same delays. Of every stretch the outputs (n, c) at the samples kept, without
+        disturbances, and their derivatives (n, c, q + k) by q `names` and by the k initial states that nothing measured, in units of their
+        prior standard deviation, about `initial`, 0 where none."""
         block, width = self._block, len(self._outputs)
         free = tuple(n for n in block.params if n in names)
-        p = np.array([values[n] for n in block.params])
-        nodes = self._stacked.nodes(float(block.delay_s(p)), max_step_s(block, values))
+        p = np.array([[one[n] for n in block.params] for one in values])
+        if np.ptp(p[:, self._late], axis=0).any():
+            raise ValueError("flights that are integrated together have the same delays")
+        step_s = min(max_step_s(block, one) for one in values)
+        nodes = self._stacked.nodes(float(block.delay_s(p[0])), step_s)
         kernel = Kernel(block, self._outputs, free, self._filters)
-        start = self._start + values["K"] * self._start_by_gain
+        gain = np.array([one["K"] for one in values])[self._stretch, None]
+        start = self._start + gain * self._start_by_gain
         for n in self._spread.keys() & initial.keys():
             start[:, block.free_states.index(n)] += self._spread[n] * initial[n][self._number_of_piece]
-        y, dy = kernel.at_samples(p, start, nodes, self._mask, True)
+        y, dy = kernel.at_samples(p[self._stretch], start, nodes, self._mask, True)
         y, dy = y.reshape(-1, width), dy.reshape(-1, width, dy.shape[-1])
         columns = [list(names).index(n) for n in free]
         unknown = [len(free) + block.free_states.index(n) for n in self._spread]

@@ -39,11 +39,11 @@ def compared(block: Block, flown: Sequence[Segment]) -> tuple[str, ...]:
 
 
 class LoopEquations:
-    """One block of the attitude loops over one flight: the outputs that are `compared`. state: the simulated outputs and their rates,
-    functions of the references alone."""
+    """One block of the attitude loops over stretches of one flight or several: the outputs that are `compared`. state: the simulated
+    outputs and their rates, functions of the references alone."""
 
     def __init__(self, model: Model, block: Block, flown: Sequence[Segment], outputs: tuple[str, ...]) -> None:
-        self.block, self.outputs = block, outputs
+        self.block, self.outputs, self.flown = block, outputs, flown
         own = {name for _, names in AXES for name in names}
         self.chunks = Chunks(flown, block, outputs, model, long_memory=bool(set(block.free_states) - own))
         seen = (np.array([s.y[n] for n in outputs]).T for s in flown)
@@ -56,9 +56,9 @@ class LoopEquations:
         return self.block.params
 
     def evaluated(
-        self, values: Mapping[str, float], names: Sequence[str], initial: InitialValues
+        self, values: Sequence[Mapping[str, float]], names: Sequence[str], initial: InitialValues
     ) -> Iterator[Residual]:
-        """Of every stretch without gaps, without its mean: trim is no dynamics."""
+        """Of every stretch without gaps, with values of its own, without its mean: trim is no dynamics."""
         for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names, initial)):
             t = self.times[k]
             residual = self.measured[k] - predicted
@@ -73,7 +73,7 @@ class LoopEquations:
                     if len(own):
                         along, first = along - along.mean(axis=0), seen[a:b][: len(own) * many : many]
                         began = self.chunks.initial_states(k, along[:, len(names) :], first, initial)
-                        yield Residual(channel, own - own.mean(), along[:, : len(names)], of, began)
+                        yield Residual(k, channel, own - own.mean(), along[:, : len(names)], of, began)
 
 
 def _means(values: FloatArray, many: int) -> FloatArray:

@@ -103,18 +103,23 @@ def _state(s: Segment, velocity: Mapping[str, FloatArray]) -> FloatArray:
     return np.column_stack([along, zero_order_hold(s.u["throttle"], s.t_s)])
 
 
-class TranslationEquations:
-    """The equations of motion of one flight at the measured velocity. state: velocity along the body's axes, m/s, and throttle."""
+def accelerations(flown: Sequence[Segment]) -> tuple[str, ...]:
+    """Outputs of the equations of motion of a flight: the axes of its accelerometer, else the increments of velocity."""
+    return tuple(n for n in FORCE if all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown)) or ACCELERATION
 
-    def __init__(self, model: Model, flown: Sequence[Segment]) -> None:
-        self.model = model
+
+class TranslationEquations:
+    """The equations of motion of stretches at the measured velocity, of flights that have the same `outputs`. state: velocity along the
+    body's axes, m/s, and throttle."""
+
+    def __init__(self, model: Model, flown: Sequence[Segment], outputs: tuple[str, ...]) -> None:
+        self.model, self.flown, self.outputs = model, flown, outputs
         self.block = (model.without_terms(LATENCY) if LATENCY in model.terms else model).measured_velocity
         measured = [s.once("measured", partial(_measured, s)) for s in flown]
         swings = any(n != "a_t_m_s2" for n in self.block.free_states)
-        force = tuple(n for n in FORCE if all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown))
-        self.outputs = force or ACCELERATION
         self.chunks = Chunks(flown, self.block, self.outputs, model, long_memory=swings, changed=measured)
-        recorded = (np.stack([s.y[n] for n in (force or VELOCITY)], axis=1) for s in flown)
+        shown = VELOCITY if outputs == ACCELERATION else outputs
+        recorded = (np.stack([s.y[n] for n in shown], axis=1) for s in flown)
         along = [self.chunks.along(k, one) for k, one in enumerate(recorded)]
         # A log may have written accelerations less often than attitudes: their samples are a series of their own.
         self.seen = [np.flatnonzero(np.isfinite(one).all(axis=1)) for one in along]
@@ -130,18 +135,18 @@ class TranslationEquations:
         return (*self.block.params, LATENCY) if LATENCY in self.model.terms else self.block.params
 
     def evaluated(
-        self, values: Mapping[str, float], names: Sequence[str], initial: InitialValues
+        self, values: Sequence[Mapping[str, float]], names: Sequence[str], initial: InitialValues
     ) -> Iterator[Residual]:
-        """Of every stretch without gaps."""
+        """Of every stretch without gaps, with values of its own."""
         for k, (predicted, slopes) in enumerate(self.chunks.simulated(values, names, initial)):
             t, at, seen, state = self.times[k], self.seen[k], self.measured[k], self.states[k]
             if t.size < LEAST_SAMPLES:
                 continue
             predicted, slopes = predicted[at], slopes[at]
             shift = int(self.outputs == ACCELERATION)  # an increment belongs to the sample at its end
-            if self.outputs == ACCELERATION and LATENCY in values:
+            if self.outputs == ACCELERATION and LATENCY in values[k]:
                 column = names.index(LATENCY) if LATENCY in names else None
-                predicted, slopes = _late(t, predicted, slopes, values[LATENCY], column)
+                predicted, slopes = _late(t, predicted, slopes, values[k][LATENCY], column)
             if self.outputs == ACCELERATION:
                 h = np.diff(t)[:, None]
                 seen = np.diff(seen, axis=0) / h
@@ -154,7 +159,7 @@ class TranslationEquations:
                     began = self.chunks.initial_states(
                         k, slopes[a:b, c, len(names) :], at[a + shift : b + shift], initial
                     )
-                    yield Residual(channel, residual[a:b, c], slopes[a:b, c, : len(names)], state[a:b], began)
+                    yield Residual(k, channel, residual[a:b, c], slopes[a:b, c, : len(names)], state[a:b], began)
 
 
 def _late(
