@@ -347,6 +347,9 @@ def test_what_every_accelerometer_drifts_by_is_neither_named_nor_missing():
     )
     assert drifted.verdict is Verdict.NOTHING_MISSING
     assert any("which may be nothing" in c["why"] for c in drifted.candidates)
+    assert any(n.startswith("accelerometer_bias is in the model and no finding") for n in drifted.notes)
+    assert "accelerometer_bias" in drifted.model.terms
+    assert "accelerometer_bias" not in drifted.not_needed
     (biased,) = diagnose(fly(campaign(2), seed=5, bias=(0.3, -0.25, 0.3)), only=("accelerometer_bias",)).findings
     for (low, high), true in zip(
         (p["interval_95"] for p in biased.parameters.values()), (0.3, -0.25, 0.3), strict=True

@@ -294,7 +294,7 @@ def test_an_effect_of_the_smallest_size_reported_is_named_four_times_in_five(rng
 def test_what_shows_only_at_more_than_twice_its_usual_size_could_not_be_seen(level, said):
     term = catalogue()["quadratic_drag"]
     name, usual = term.amplitudes[0].name, abs(term.amplitudes[0].nominal)
-    search = SimpleNamespace(pool=(term,), named=frozenset())
+    search = SimpleNamespace(pool=(term,), members=frozenset())
     found = detectability.untestable(search, {term.id: (level * usual, name)})
     assert (said in found[0].why) if said else not found
 

@@ -77,7 +77,7 @@ class Scripted(Search):
                 names=() if t.id in self.bare else ("c",),
             )
             for t in self.pool
-            if t.id not in self.named
+            if t.id not in self.members
         ]
         position = {c.term.id: j for j, c in enumerate(self.candidates)}
         self.scored = [
@@ -140,7 +140,7 @@ def searched(monkeypatch, made):
 def test_the_best_subset_is_refitted_and_what_it_needs_is_named(searched):
     search = searched({"a": 5.0, "b": 4.0, "ab": 9.0}, {})
     assert search.refits == ["ab"]
-    assert search.named == set(search.evidence) == {"a", "b"}
+    assert search.members == search.named == {"a", "b"}
 
 
 def test_what_has_odds_against_it_is_not_refitted(searched):
@@ -228,14 +228,25 @@ def test_what_is_not_needed_beside_what_instruments_drift_by_is_not_named(search
     both = "".join(sorted((drifts, "b")))
     search = searched(scores, finds | {(both, "b"): 0.0, (both, drifts): finds[drifts]})
     assert search.named == named
-    assert set(search.beside_drift().model.terms) == named | ({"d"} if drifts == "d" else set())
+    assert search.members == named | ({"d"} if drifts == "d" else set())
+    assert search.rejected[drifts].why_not == "it may be nothing"
+
+
+def test_what_instruments_drift_by_is_proposed_again_where_it_came_with_what_does_not_stay(searched):
+    finds = {"d": {"nats": 93.0, "nothing": "it may be nothing"}, "a": {"nats": 50.0, "floors": 0.5}, "b": 12.0}
+    search = searched({"a": 12.0, "bd": 10.0, "d": 8.0}, finds | {("abd", "b"): 0.0})
+    assert search.members == {"d"}
+    assert not search.named
+    search = searched({"bd": 10.0}, finds)
+    assert search.members == {"b", "d"}
+    assert search.named == {"b"}
 
 
 def test_what_is_named_beside_a_term_that_goes_is_judged_anew(searched):
     scores = {"bc": 10.0, "a": 8.0}
     finds = {"a": {"nats": 93.0, "floors": 0.5}, ("abc", "a"): 50.0, ("abc", "b"): 0.0, "b": 12.0}
     search = searched(scores, finds)
-    assert search.named == set(search.evidence) == {"c"}
+    assert search.members == search.named == {"c"}
     assert searched(scores, finds | {("c", "c"): 0.0}).named == frozenset()
 
 
@@ -294,14 +305,14 @@ def test_a_model_is_never_replaced_by_one_that_holds_less(searched):
     finds = {("ab", "a"): 0.0, ("b", "b"): 0.0}
     search = searched({"a": 10.0, "b": 8.0}, finds)
     assert search.refits == ["a", "ab"]
-    assert search.named == set(search.evidence) == {"a"}
+    assert search.members == search.named == {"a"}
     assert set(search.rejected) == {"b"}
 
 
 @pytest.mark.parametrize(("better", "named"), [(0.5, {"b"}), (-0.5, {"a"})])
 def test_other_terms_take_its_place_where_they_predict_better(searched, better, named):
     search = searched({"a": 10.0, "b": 8.0}, {("ab", "a"): 0.0}, better)
-    assert search.named == set(search.evidence) == named
+    assert search.members == search.named == named
 
 
 def test_the_newcomer_leaves_before_an_older_term_and_an_impossible_one_last(searched):
@@ -324,7 +335,7 @@ def test_an_interrupted_search_keeps_what_it_had(searched, made, monkeypatch):
     monkeypatch.setattr(Scripted, "linearise", interrupted)
     with pytest.raises(KeyboardInterrupt):
         searched({"a": 10.0, "b": 8.0}, {})
-    assert made[0].named == set(made[0].evidence) == {"a"}
+    assert made[0].members == made[0].named == {"a"}
     assert made[0].candidates == []  # their columns were of the model before
 
 

@@ -77,11 +77,13 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
     assert base is not None
     assert now is not None
     assert floor is not None
-    made.terms = tuple(search.evidence)
+    made.terms = tuple(t for t in now.model.terms if t in search.members)
     made.accepted = {term: e.nats for term, e in search.evidence.items()}
-    made.null = {n: now.at.values[n] for term in search.named for n in search.held(term)}
+    nameless = [search.rejected[t] for t in made.terms if t in search.rejected and t not in search.named]
+    made.notes = [f"{e.term} is in the model and no finding: {e.why_not}" for e in nameless]
+    made.null = {n: now.at.values[n] for term in made.terms for n in search.held(term)}
     made.tried = frozenset(made.terms) | (frozenset(t.id for t in search.pool) if made.complete else frozenset())
-    unchanged, settled = now is base, search.beside_drift()
+    unchanged = now is base
     before_held, after_held = held_out_errors(base, now, search.estimator, asked.groups)
     horizons_b = horizon_rmse(before_held, segments)
     horizons_a = horizons_b if unchanged else horizon_rmse(after_held, segments)
@@ -95,9 +97,10 @@ def _tell(made: OutputErrorAnswer, search: Search, asked: Asked) -> None:
             "value": floor.of(name),
             "from": FROM_REPEATS if name in floor.from_repeats else FROM_RESIDUAL,
         }
-    first, last = excess(base.rows, floor), excess(settled.rows, floor)
-    left = locate(settled.rows, segments, floor_of(settled.rows, segments, RESOLUTION), SEED)
-    places = left if unchanged else locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), SEED)
+    first, last = excess(base.rows, floor), excess(now.rows, floor)
+    left = locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), SEED)
+    # What has no name is no mismatch: where nothing has, the place is where the model differs with it.
+    places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), SEED) if search.named else left
     made.located += places
     above = {place.channel for place in places}
     made.shares |= {short(n): min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0}

@@ -91,7 +91,7 @@ def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Unt
     """Candidates this data could not have shown."""
     found = []
     for term in search.pool:
-        if term.id in search.named:
+        if term.id in search.members:
             continue
         level, name = levels.get(term.id, (np.inf, ""))
         if why := why_unseen(term, level, name):
