@@ -136,7 +136,9 @@ def test_what_instruments_drift_by_is_estimated_beside_the_rest_and_has_no_name(
     assert any("attitude_offset is in the model and no finding" in note for note in found.notes)
 
 
-@pytest.mark.parametrize(("bias", "named"), [(0.1, []), (0.3, []), (0.4, ["attitude_offset"])])
+@pytest.mark.parametrize(
+    ("bias", "named"), [pytest.param(0.1, [], marks=pytest.mark.slow), (0.3, []), (0.4, ["attitude_offset"])]
+)
 def test_a_bias_that_accelerometers_have_is_neither_a_tilt_nor_a_wind(bias, named):
     """One of 0.1 m/s^2 was an offset of the thrust axis with 103 nats, as an alternative a wind with 97. Where levels have 0.035 m/s^2
     0.3 m/s^2 have a name, where they have 0.075 m/s^2 0.4 have none."""
