@@ -45,7 +45,7 @@ class Tolerances:
     step: root mean square parameter step, in standard errors; end: the same where no step lowers the cost; cost: relative decrease of the
     cost by the last step, or decrease, absolute; flat: steps in a row that lower it by no more (a kink, where an edge passes a sample, or a
     flat direction). compared_with: log likelihood of the model that this one is compared with: the loop ends where it has gained, and
-    expects to gain, less than `share` of what separates the two, or where `slow` steps in a row gained less: 40 such do not get there.
+    expects to gain, less than `share` of what separates the two.
     """
 
     step: float = 0.05
@@ -55,7 +55,6 @@ class Tolerances:
     flat: int = 4
     compared_with: float | None = None
     share: float = 0.02
-    slow: int = 8
 
 
 @dataclass(frozen=True)
@@ -189,8 +188,7 @@ def minimise(
 ) -> Minimum[P]:
     """The minimum reached from `start`, which lies within the bounds."""
     limits = tolerances or Tolerances()
-    now, damping, status, iteration, flat, slow = start, LEAST_DAMPING, FitStatus.MAX_ITERATIONS, 0, 0, 0
-    before = -np.inf
+    now, damping, status, iteration, flat = start, LEAST_DAMPING, FitStatus.MAX_ITERATIONS, 0, 0
     if not start.finite:
         nothing = np.ones(start.theta.size, dtype=bool)
         return Minimum(start, FitStatus.DIVERGED, nothing, ~nothing, 0)
@@ -211,12 +209,9 @@ def minimise(
         now = trial
         near = quadratic.small(full_step, limits.step) or (flat > 0 and damping <= 1e-2) or flat >= limits.flat
         if limits.compared_with is not None:
-            reached = objective.log_likelihood(new_cost)
-            little = limits.share * abs(reached - limits.compared_with)
-            slow = slow + 1 if reached - before <= little else 0
-            # Along a curved ridge steps gain little though much is left.
-            near = near or slow >= limits.slow or (slow > 0 and quadratic.expected(full_step) <= 2.0 * little)
-            before = reached
+            # Not along a curved ridge, where steps gain little though much is left.
+            apart = abs(objective.log_likelihood(new_cost) - limits.compared_with)
+            near = near or max(lowered, quadratic.expected(full_step)) <= 2.0 * limits.share * apart
         if still and near and settled and iteration >= least_iterations:
             status = FitStatus.CONVERGED
             break

@@ -212,7 +212,6 @@ def test_a_model_that_is_only_compared_with_a_better_one_is_near_enough_its_mini
         share.append((best - rough.log_likelihood(rough.cost(compared.point))) / apart)
         steps = [a + b for a, b in zip(steps, (found.iterations, compared.iterations), strict=True)]
     assert np.median(share) < 0.02 / 20  # of the share that may be left
-    # From one start (Eckerle4) the data say next to nothing, and the loop expects as little; from two (Lanczos3, MGH10) it gets there by
-    # more than 8 steps that gain little, of which 4 would give up two more.
-    assert sum(s > 0.11 for s in share) == 3
+    # From one start (Eckerle4) the data say next to nothing, and the loop expects as little.
+    assert sum(s > 0.11 for s in share) == 1
     assert steps[1] < 0.8 * steps[0]

@@ -7,7 +7,7 @@
 
 A term that may be no more than what instruments drift by (`Param.drift`) has no name, and stays in the model beside the others: left out,
 it is in what they are judged by. (Without a bias of 0.13, 0.11 and 0.16 m/s^2 there was an attitude offset in its place, beside which the
-real firmware's own angle boost and rotor lag lost their names.)
+real firmware's own lag of the rotors lost its name.)
 
 A term that left is not proposed again from the model that stayed without it: its refit has been tried. One that left earlier, beside
 another that left after it, is.
@@ -100,7 +100,7 @@ class Search:
         return frozenset(self.evidence)
 
     def held(self, term: str) -> tuple[str, ...]:
-        """Coefficients of a named term that are held at their null values, since they were not its effect."""
+        """Coefficients of a term that are held at their null values, since they were not its effect."""
         assert self.now is not None
         known = {*self.now.names, *self.models.insensitive}
         return tuple(p.name for p in self.terms[term].amplitudes if p.name not in known)

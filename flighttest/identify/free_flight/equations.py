@@ -73,7 +73,7 @@ class Equations:
             began = {n: x[before:after] for n, x in (initial or {}).items()}
             mine = [of_flight[s.run] for s in equation.flown]
             for one in equation.evaluated(mine, [*shared, *own], began):
-                number = self.flights.index(equation.flown[one.k].run)
+                number = self.flights.index(equation.flown[one.stretch].run)
                 left.append((number, one._replace(initial=one.initial.after(before))))
             before = after
         # The same order whether a term couples the axes or not, and whichever flights are alike.

@@ -67,11 +67,11 @@ def _joined(windows: Sequence[Segment]) -> Segment:
 
 
 class Residual(NamedTuple):
-    """What one equation leaves over a stretch, number k. channel; residual (n,) measured less modelled; slopes (n, q) derivatives of the
-    modelled by the parameters asked for; state (n, k) that the equation may be wrong as a function of
+    """What one equation leaves over a stretch. stretch: its number; channel; residual (n,) measured less modelled; slopes (n, q)
+    derivatives of the modelled by the parameters asked for; state (n, k) that the equation may be wrong as a function of
     (`estimation.equation_error.lack_of_fit`); initial: derivatives by initial states that nothing measured."""
 
-    k: int
+    stretch: int
     channel: str
     residual: FloatArray
     slopes: FloatArray
