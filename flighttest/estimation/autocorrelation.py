@@ -54,8 +54,7 @@ def correlations(part: Part, made: PartEvaluation) -> dict[str, float]:
 
 def wander_of(part: Part) -> FloatArray:
     """(n_outputs,) variance times samples that count as one, of what a state estimator can wander by: `DRIFT` for `WANDER_S`."""
-    interval_s = float(np.median([np.median(np.diff(r.t_s)) for r in part.responses]))
-    return np.array([DRIFT.get(c, 0.0) ** 2 for c in part.outputs]) * WANDER_S / interval_s
+    return np.array([DRIFT.get(c, 0.0) ** 2 for c in part.outputs]) * WANDER_S / part.interval_s
 
 
 def limited(tau: ArrayLike, variance: ArrayLike, wander: ArrayLike) -> FloatArray:

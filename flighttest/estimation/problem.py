@@ -63,6 +63,11 @@ class Part:
         """(m, n_locals): measured initial states, no disturbance."""
         return np.concatenate([self.start, np.zeros((len(self.responses), len(self.block.disturbances)))], axis=1)
 
+    @cached_property
+    def interval_s(self) -> float:
+        """Usual time between samples."""
+        return float(np.median([np.median(np.diff(r.t_s)) for r in self.responses]))
+
     def only(self, rows: Sequence[int]) -> Part:
         """Some of the responses."""
         responses = tuple(self.responses[j] for j in rows)

@@ -36,6 +36,7 @@ from flighttest.identify.diagnostics.identifiability import (
     Known,
     ParameterDiagnostics,
     assumed_share,
+    drag_without_velocity,
     hopeless,
     judge,
     throttle_varies,
@@ -215,6 +216,8 @@ def fit(
 def _not_moved(segments: Sequence[Segment], model: Model) -> tuple[str, ...]:
     """Parameters whose input these responses do not move."""
     held = () if voltage_varies(segments, model.nominal_voltage_v) else ("alpha",)
+    if all(s.steered for s in segments):  # what a pilot does about a gust is no sign of how the air drags
+        held = (*held, *(n for n in drag_without_velocity(segments) if n in model.names))
     return held if throttle_varies(segments) else (*held, "sigma_t", "T_d_thrust")
 
 

@@ -31,8 +31,7 @@ def counted(residual, outputs=("f_x_m_s2", "v_x_m_s"), mask=None, size=0.01):
     """Of a residual (m, n) times `size`, m/s, at 50 Hz."""
     whole = size * np.stack([np.zeros_like(residual), residual], axis=2)
     mask = np.ones(whole.shape, dtype=bool) if mask is None else mask
-    responses = [SimpleNamespace(t_s=0.02 * np.arange(whole.shape[1]))] * len(whole)
-    part = SimpleNamespace(outputs=outputs, mask=mask, responses=responses)
+    part = SimpleNamespace(outputs=outputs, mask=mask, interval_s=0.02)
     return correlations(part, SimpleNamespace(residual=whole))
 
 

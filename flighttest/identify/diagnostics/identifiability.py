@@ -14,6 +14,7 @@ from flighttest.estimation.uncertainty.covariance import Covariance, interval_fa
 from flighttest.estimation.uncertainty.distributions import NORMAL_95
 from flighttest.identify.diagnostics.heterogeneity import Heterogeneity
 from flighttest.identify.diagnostics.local_optima import LocalOptimum
+from flighttest.physics.blocks import VELOCITY
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -203,6 +204,13 @@ def voltage_varies(segments: Sequence[Segment], nominal_voltage_v: float) -> boo
         return False
     spread = float(np.hypot(np.std(means), np.mean(inside)))
     return spread / nominal_voltage_v > VOLTAGE_STD
+
+
+def drag_without_velocity(segments: Sequence[Segment]) -> tuple[str, ...]:
+    """Drag coefficients along axes whose velocity was not recorded; forward and left take both horizontal velocities."""
+    recorded = {n for s in segments for n in VELOCITY if np.isfinite(s.y.get(n, np.nan)).any()}
+    north, west, up = (n in recorded for n in VELOCITY)
+    return (*(() if north and west else ("d_x", "d_y")), *(() if up else ("d_z",)))
 
 
 def assumed_share(segments: Sequence[Segment], model: Model) -> float:

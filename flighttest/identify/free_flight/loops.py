@@ -49,6 +49,8 @@ class LoopEquations:
         seen = (np.array([s.y[n] for n in outputs]).T for s in flown)
         self.measured = [self.chunks.along(k, one) for k, one in enumerate(seen)]
         self.times = [self.chunks.along(k, s.t_s) for k, s in enumerate(flown)]
+        # A log may have written attitudes less often than rates: their samples are a series of their own.
+        self._seen = [[np.flatnonzero(np.isfinite(one)) for one in measured.T] for measured in self.measured]
 
     @property
     def params(self) -> tuple[str, ...]:
@@ -64,8 +66,7 @@ class LoopEquations:
             residual = self.measured[k] - predicted
             state = np.concatenate([predicted, np.gradient(predicted, t, axis=0)], axis=1)
             for c, channel in enumerate(self.outputs):
-                # A log may have written attitudes less often than rates: their samples are a series of their own.
-                seen = np.flatnonzero(np.isfinite(self.measured[k][:, c]))
+                seen = self._seen[k][c]
                 good = np.isfinite(residual[seen, c]) & np.isfinite(slopes[seen, c]).all(axis=1)
                 many = max(round(ATTITUDE_MEANS_S / float(np.median(np.diff(t[seen])))), 1) if seen.size > 1 else 1
                 for a, b in unbroken(t[seen], good):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flighttest.identify.diagnostics.identifiability import voltage_varies
+from flighttest.identify.diagnostics.identifiability import drag_without_velocity, voltage_varies
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -26,6 +26,8 @@ def prior_of(p: Param) -> tuple[float, float]:
 
 def determined(flown: Sequence[Segment], model: Model) -> list[str]:
     """Parameters that free flight may determine: not the exponent of a voltage that stays what it is, nor an upward wind, which is a
-    thrust."""
-    held = {"w_up"} | (set() if voltage_varies(flown, model.nominal_voltage_v) else {"alpha"})
+    thrust, nor drag at a velocity that nothing measured."""
+    held = {"w_up", *drag_without_velocity(flown)} | (
+        set() if voltage_varies(flown, model.nominal_voltage_v) else {"alpha"}
+    )
     return [n for n in model.names if n not in held]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.equation_error import InitialStates
 from flighttest.estimation.responses import attitude_is_known
-from flighttest.physics.blocks import VELOCITY
+from flighttest.physics.blocks import FORCE, VELOCITY
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -23,7 +23,7 @@ SHORTEST_S = 4.0
 
 def stretches(segments: Sequence[Segment], part: str = "translation") -> list[Segment]:
     """Usable segments of each recording with what a part of the model is estimated from (`estimation.estimator.BLOCKS`), those that adjoin
-    or overlap joined: attitude; for the translation heading, velocity and throttle, too."""
+    or overlap joined: attitude; for the translation heading, throttle and velocity or specific force, too."""
     can = _translates if part == "translation" else attitude_is_known
     fit = [s for s in segments if s.usable and s.t_s.size > 2 and can(s)]
     groups: list[list[Segment]] = []
@@ -39,9 +39,13 @@ def stretches(segments: Sequence[Segment], part: str = "translation") -> list[Se
 
 
 def _translates(s: Segment) -> bool:
-    velocity = all(np.isfinite(s.y.get(n, np.nan)).any() for n in VELOCITY)
-    heading = bool(np.isfinite(s.y.get("yaw_rad", np.nan)).any())
-    return velocity and heading and "throttle" in s.u and attitude_is_known(s)
+    moved = recorded(s, VELOCITY) or recorded(s, FORCE)
+    return moved and recorded(s, ("yaw_rad",)) and "throttle" in s.u and attitude_is_known(s)
+
+
+def recorded(s: Segment, channels: Sequence[str]) -> bool:
+    """Whether all of these channels were."""
+    return all(np.isfinite(s.y.get(n, np.nan)).any() for n in channels)
 
 
 def _joined(windows: Sequence[Segment]) -> Segment:

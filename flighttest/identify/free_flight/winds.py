@@ -17,8 +17,9 @@ from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.identify.free_flight.estimate import estimate
 from flighttest.identify.free_flight.estimated import FreeFlight
-from flighttest.identify.free_flight.stretches import stretches
+from flighttest.identify.free_flight.stretches import recorded, stretches
 from flighttest.identify.models.model_blocks import FlightWindRow
+from flighttest.physics.blocks import VELOCITY
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -86,7 +87,7 @@ def winds(segments: Sequence[Segment], model: Model, weather: Mapping[str, str] 
 
     weather: flight to 'still', a prior of no wind with a standard deviation of 0.2 m/s; other flights have none but that of usual winds.
     """
-    flown = stretches([s for s in segments if s.kind == "free"])
+    flown = [s for s in stretches([s for s in segments if s.kind == "free"]) if recorded(s, VELOCITY)]
     if not flown:
         return None
     tried = Model(

@@ -38,7 +38,7 @@ attitude_offset = Term(
     hides_in=("a_d",),
     told_apart_by="headings and throttles",
     reveals="headings",
-    needs=("throttle",),
+    needs=("throttle", "v_x_m_s"),  # without a velocity the force of a wind is the same
 )
 
 
