@@ -11,6 +11,7 @@ from flighttest.estimation.equation_error import (
     autoregression,
     heterogeneity,
     lack_of_fit,
+    left_out,
     log_scale,
     noises,
     second_order,
@@ -132,6 +133,36 @@ def test_a_direction_without_information_has_no_variance():
     made = step(whiten([stream], noises([stream]), 50), np.zeros(2), np.full(2, np.inf))
     assert np.isfinite(made.covariance[0, 0])
     assert np.isinf(made.covariance[1, 1])
+
+
+def test_what_blocks_show_is_as_uncertain_as_estimates_without_each_of_them_differ():
+    """Against the estimates themselves, with a prior."""
+    rng = np.random.default_rng(15)
+    x, y, block = rng.standard_normal((60, 3)) * [1.0, 10.0, 0.1], rng.standard_normal(60), np.repeat(np.arange(6), 10)
+    prior = np.diag([0.0, 4.0, 0.0])
+
+    def estimate(kept: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(x[kept].T @ x[kept] + prior, x[kept].T @ y[kept])
+
+    apart = np.array([estimate(block != k) for k in range(6)]) - estimate(block >= 0)
+    shuffled = rng.permutation(60)
+    found, alone = left_out(x[shuffled], y[shuffled], block[shuffled], x.T @ x + prior, x.T @ y)
+    assert found == pytest.approx(5.0 / 6.0 * apart.T @ apart)
+    assert not alone.any()
+
+
+def test_what_a_single_block_shows_has_no_robust_variance():
+    """That block fits its own parameter, whatever its noise."""
+    rng = np.random.default_rng(16)
+    columns = np.column_stack([np.ones(400), np.where(np.arange(400) // 50 == 3, rng.standard_normal(400), 0.0)])
+    stream = Stream("y", 0, rng.standard_normal(400), columns)
+    white = {"y": Autoregression(np.array([1.0]), 1.0)}
+    made = step(whiten([stream], white, 50), np.zeros(2), np.full(2, np.inf))
+    assert np.isfinite(made.covariance).all()
+    assert np.isfinite(made.robust[0, 0])
+    assert np.isinf(made.robust[1, 1])
+    known = step(whiten([stream], white, 50), np.zeros(2), np.array([np.inf, 0.1]))  # by its prior
+    assert np.isfinite(known.robust).all()
 
 
 def flown(missing: float, seed: int = 6, n: int = 4000) -> Stream:

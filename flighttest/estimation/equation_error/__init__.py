@@ -13,7 +13,14 @@ streams: equations over stretches of flight; least_squares: a step and its error
 from flighttest.estimation.equation_error.autoregression import Autoregression, autoregression
 from flighttest.estimation.equation_error.initial_states import InitialStates, PredictedStates
 from flighttest.estimation.equation_error.lack_of_fit import lack_of_fit, second_order
-from flighttest.estimation.equation_error.least_squares import Whitened, block_rows, heterogeneity, step, whiten
+from flighttest.estimation.equation_error.least_squares import (
+    Whitened,
+    block_rows,
+    heterogeneity,
+    left_out,
+    step,
+    whiten,
+)
 from flighttest.estimation.equation_error.random_effects import beside_random_effects, misfit_of, without_levels
 from flighttest.estimation.equation_error.streams import Stream, log_scale, noises
 
@@ -28,6 +35,7 @@ __all__ = [
     "block_rows",
     "heterogeneity",
     "lack_of_fit",
+    "left_out",
     "log_scale",
     "misfit_of",
     "noises",

@@ -90,7 +90,7 @@ def _with_errors(made: Fit, found: HeldEstimate) -> Fit:
     for n in names:
         e, p, half = estimates[n], made.model.param[n], interval_factor(dof) * std[n]
         # The coefficients of a term are there by what they do together, however wide the error of one.
-        assumed = n in found.assumed and (p.kind != "amplitude" or p.off is None)
+        assumed = n in found.assumed and (p.kind != "amplitude" or p.off is None or not np.isfinite(std[n]))
         known_std = std[n] if np.isfinite(std[n]) and not assumed else None
         at_bound = not p.lower < e.value < p.upper
         known = judge(
@@ -98,7 +98,7 @@ def _with_errors(made: Fit, found: HeldEstimate) -> Fit:
         )
         interval = None if known_std is None else (max(e.value - half, p.lower), min(e.value + half, p.upper))
         estimates[n] = Estimate(
-            n, e.symbol, e.unit, e.value, known_std, interval, "fit" if known_std is not None else "assumed", known.identifiable,
+            n, e.symbol, e.unit, e.value, known_std, interval, "assumed" if assumed else "fit", known.identifiable,
             known.why, known.fly, known_std,
         )  # fmt: skip
     kept = [n for n in names if estimates[n].std is not None]

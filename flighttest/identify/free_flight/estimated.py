@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 @dataclass(frozen=True)
 class HeldEstimate:
     """Parameters that a fit by output error takes as they are. values: by name; covariance (q, q) in the order of `names`; dof: degrees of
-    freedom of its intervals; assumed: names whose error is mostly a prior's."""
+    freedom of its intervals; assumed: names whose error is mostly a prior's, or that nothing determines."""
 
     names: tuple[str, ...]
     values: Mapping[str, float]
@@ -35,12 +35,12 @@ class FreeFlight:
 
     values: parameters by name, those of one flight as `name@flight`; std: standard errors of the estimated ones, robust over 1 to 5 s;
     covariance (q, q) in the order of `names`; between (q, q): what of it flights differ by; noise: spectrum of what is left, per channel;
-    rms: per channel of the residual, SI units; seconds: of flight used; priors: names whose error is mostly the prior's; spread: by name of
-    a shared parameter, the standard deviation by which flights differ in it beyond their errors; inflation: median ratio of the robust
-    variances to those of the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson
-    2002, section 2.5); blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`); period_s: between the samples
-    of the residual; initial: values of the states that nothing measured, in units of their prior standard deviation, that the equations are
-    linear about.
+    rms: per channel of the residual, SI units; seconds: of flight used; priors: names whose error is mostly the prior's, or that nothing
+    determines; spread: by name of a shared parameter, the standard deviation by which flights differ in it beyond their errors; inflation:
+    median ratio of the robust variances to those of the information alone, at least 1, by which differences of log likelihoods are to be
+    divided (Burnham and Anderson 2002, section 2.5); blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`);
+    period_s: between the samples of the residual; initial: values of the states that nothing measured, in units of their prior standard
+    deviation, that the equations are linear about.
     """
 
     model: Model

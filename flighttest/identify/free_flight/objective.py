@@ -69,13 +69,14 @@ class EvaluatedEquations:
 
 
 class _Errors(NamedTuple):
-    """covariance, between (q, q), spread (q,), inflation and blocks, as of `FreeFlight`."""
+    """covariance, between (q, q), spread (q,), inflation and blocks, as of `FreeFlight`; determined (q,): by the data or a prior."""
 
     covariance: FloatArray
     between: FloatArray
     spread: FloatArray
     inflation: float
     blocks: int
+    determined: NDArray[np.bool_]
 
 
 class EquationObjective:
@@ -208,9 +209,8 @@ class EquationObjective:
         self.learn(at, minimum.iterations)
         known = self.errors(at)
         error = np.sqrt(np.diag(known.covariance))
-        leaning = frozenset(
-            c for c, e, s in zip(self.columns, error, self.asked_std, strict=True) if np.isfinite(s) and e > LEANS * s
-        )
+        leans = np.isfinite(self.asked_std) & (error > LEANS * self.asked_std)
+        leaning = frozenset(c for c, one in zip(self.columns, leans | ~known.determined, strict=True) if one)
         channels = dict.fromkeys(s.channel for s in at.streams)
         left = beside_random_effects(at.streams, without_levels(self.noise))
         every = {c: np.concatenate([s.residual for s in left if s.channel == c]) for c in channels}
@@ -239,4 +239,5 @@ class EquationObjective:
         robust = made.robust + known @ wrong @ known
         drift = np.diag([self.asked.model.param[c.split("@")[0]].drift ** 2 for c in self.columns])
         blocks = int(rows.block.max(initial=-1)) + 1
-        return _Errors(robust + extra + drift, extra, spread, inflation_of(made.covariance, robust), blocks)
+        determined = np.isfinite(np.diag(made.covariance))
+        return _Errors(robust + extra + drift, extra, spread, inflation_of(made.covariance, robust), blocks, determined)
