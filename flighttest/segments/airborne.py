@@ -18,6 +18,8 @@ _IDLE = 0.02  # throttle of motors that do not lift
 _LOW_M = 0.15
 _STILL_M_S = 0.15
 _STANDS_S = 1.0  # motors off for so long in the air would be a fall at 10 m/s
+# Where the specific force shows what carries it: rotors have followed their command by half of that (lags are 0.05 to 0.2 s).
+_RESTS_S = 0.5
 # An estimate drifts while the vehicle stands (by 0.2 m/s in a Crazyflie's log); in a fall of `_STANDS_S` the median speed is 5 m/s.
 _STANDS_M_S = 0.5
 _RESTS_M_S2 = 0.5  # specific force of what stands differs from g by less
@@ -193,7 +195,8 @@ def _not_yet_up(recording: Recording, start: float, end: float) -> list[tuple[fl
 
 
 def _landings(recording: Recording, start: float, end: float) -> list[tuple[float, float]]:
-    """Stretches between two flights, s: motors give too little to fly, and the vehicle is at rest for all that was recorded."""
+    """Stretches between two flights, s: motors give too little to fly, and the vehicle is at rest for all that was recorded; short ones
+    where its specific force is known to be that of rest."""
     if not recording.has("throttle"):
         return []
     t, throttle = recording.channel("throttle")
@@ -203,7 +206,8 @@ def _landings(recording: Recording, start: float, end: float) -> list[tuple[floa
     found: list[tuple[float, float]] = []
     for first, after in zip(turns[::2], turns[1::2], strict=True):
         down, up = float(t[first]), float(t[after - 1])
-        if up - down >= _STANDS_S and _at_rest(recording, down, up):
+        long = up - down >= _STANDS_S or (up - down >= _RESTS_S and _carried(recording, 0.5 * (down + up), up))
+        if long and _at_rest(recording, down, up):
             found.append(_low(recording, down, up))
     return found
 
@@ -348,6 +352,11 @@ def _at_rest(recording: Recording, start: float, end: float) -> bool:
     known = [v for v in ("v_x_m_s", "v_y_m_s", "v_z_m_s") if _known_in(recording, v, start, end)]
     if "v_z_m_s" in known:
         return all(_still(recording, start, end, _STANDS_M_S, v) for v in known)
+    return _carried(recording, start, end)
+
+
+def _carried(recording: Recording, start: float, end: float) -> bool:
+    """Whether the specific force is that of what rests or hovers."""
     t, force = _known_force(recording)
     inside = (t >= start) & (t <= end)  # none: no evidence that it stood
     return bool(inside.any()) and abs(float(np.median(force[inside])) - _weight(recording)) < _RESTS_M_S2

@@ -47,6 +47,23 @@ def test_what_stands_with_motors_turning_does_not_fly(throttle, force, found):
     assert spans(recorded(between(throttle, 0.5), between(force, usual))) == found
 
 
+@pytest.mark.parametrize(
+    ("force", "lasts_s", "found"),
+    [
+        (G_M_S2, 0.8, [(0, 19), (22, 60)]),  # touches down: the throttle of 0.12 carries a quarter of it
+        (2.5, 0.8, [(0, 60)]),  # drops
+        (G_M_S2, 0.3, [(0, 60)]),  # the rotors have not followed yet
+    ],
+)
+def test_a_short_touch_down_is_no_flight(force, lasts_s, found):
+    """A pilot's log stood for 0.9 s between two flights: 2.7 m/s^2 of its throttle step had no explanation."""
+
+    def between(inside, outside):
+        return lambda t: np.where((t >= 20.0) & (t < 20.0 + lasts_s), inside, outside)
+
+    assert spans(recorded(between(0.12, 0.5), between(force, G_M_S2))) == found
+
+
 def test_a_vehicle_that_stands_all_the_time_has_no_flight():
     """Of an armed vehicle whose motors never turned 20 s were used as free flight, with unknown physics in them: its horizontal velocity
     was known for the last quarter alone."""
