@@ -235,7 +235,7 @@ class EquationObjective:
             wrong = sum((lacks[c].ratio - 1.0) * ((x := rows.columns[rows.channel == c]).T @ x) for c in lacks)
         else:  # a moment of the air is driven by a velocity that is no state of the loops
             wrong = sum(lack.excess for lack in lacks.values())
-        known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so in the sandwich
+        known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so
         robust = made.robust + known @ wrong @ known
         drift = np.diag([self.asked.model.param[c.split("@")[0]].drift ** 2 for c in self.columns])
         blocks = int(rows.block.max(initial=-1)) + 1
