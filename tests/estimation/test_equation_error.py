@@ -9,9 +9,9 @@ from flighttest.estimation.equation_error import (
     Autoregression,
     Stream,
     autoregression,
+    block_covariances,
     heterogeneity,
     lack_of_fit,
-    left_out,
     log_scale,
     noises,
     second_order,
@@ -145,10 +145,22 @@ def test_what_blocks_show_is_as_uncertain_as_estimates_without_each_of_them_diff
         return np.linalg.solve(x[kept].T @ x[kept] + prior, x[kept].T @ y[kept])
 
     apart = np.array([estimate(block != k) for k in range(6)]) - estimate(block >= 0)
-    shuffled = rng.permutation(60)
-    found, alone = left_out(x[shuffled], y[shuffled], block[shuffled], x.T @ x + prior, x.T @ y)
-    assert found == pytest.approx(5.0 / 6.0 * apart.T @ apart)
-    assert not alone.any()
+    left, shuffled = y - x @ estimate(block >= 0), rng.permutation(60)
+    found = block_covariances(x[shuffled], left[shuffled], block[shuffled], x.T @ x + prior)
+    assert found.left_out == pytest.approx(5.0 / 6.0 * apart.T @ apart)
+    assert not found.alone.any()
+
+
+def test_of_white_rows_the_covariance_that_is_expected_is_that_of_the_information():
+    """However unlike the blocks: the scores at the estimate alone make it a third too small here."""
+    rng = np.random.default_rng(17)
+    block = np.repeat(np.arange(8), 5)
+    x = rng.standard_normal((40, 3)) * np.where(block == 2, 6.0, 1.0)[:, None]
+    full = x.T @ x
+    rows = rng.standard_normal((4000, 40))
+    left = rows - rows @ x @ np.linalg.solve(full, x.T)
+    mean = np.mean([block_covariances(x, one, block, full).unbiased for one in left], axis=0)
+    assert mean == pytest.approx(np.linalg.inv(full), abs=0.06 * np.linalg.inv(full).max())
 
 
 def test_what_a_single_block_shows_has_no_robust_variance():

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose.answer import SideBySide, one_after_the_other
 from flighttest.diagnose.selection.candidates import acts_in, grid, null_value, usual_size
 from flighttest.diagnose.selection.detectability import missing_channels
-from flighttest.estimation.equation_error import Stream, Whitened, block_rows, left_out, whiten
+from flighttest.estimation.equation_error import Stream, Whitened, block_covariances, block_rows, whiten
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.free_flight import FreeFlight
 from flighttest.identify.free_flight.equations import Equations
@@ -196,8 +196,9 @@ def _tested(
     # The scores of blocks at the base hold the term itself, and n of them give no more than t^2 = n: a curved throttle that 16 blocks of 40
     # showed, by 413 nats of log likelihood, had p 0.011.
     every = np.column_stack([b, c[:, determined]])
-    covariance, _ = left_out(every, whitened.residual, whitened.block, every.T @ every, every.T @ whitened.residual)
-    covariance = covariance[-q:, -q:]
+    step = np.linalg.lstsq(every, whitened.residual, rcond=None)[0]
+    blocks = block_covariances(every, whitened.residual - every @ step, whitened.block, every.T @ every)
+    covariance = blocks.left_out[-q:, -q:]
     dof = count - others - q + 1
     statistic = float(delta @ np.linalg.pinv(covariance) @ delta) / q
     error = np.sqrt(np.diag(covariance))

@@ -15,9 +15,9 @@ from flighttest.estimation.equation_error.initial_states import InitialStates, P
 from flighttest.estimation.equation_error.lack_of_fit import lack_of_fit, second_order
 from flighttest.estimation.equation_error.least_squares import (
     Whitened,
+    block_covariances,
     block_rows,
     heterogeneity,
-    left_out,
     step,
     whiten,
 )
@@ -32,10 +32,10 @@ __all__ = [
     "Whitened",
     "autoregression",
     "beside_random_effects",
+    "block_covariances",
     "block_rows",
     "heterogeneity",
     "lack_of_fit",
-    "left_out",
     "log_scale",
     "misfit_of",
     "noises",

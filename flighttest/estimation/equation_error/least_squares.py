@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,12 +76,13 @@ def whiten(streams: Sequence[Stream], noise: Mapping[str, Autoregression], rows_
 
 @dataclass(frozen=True)
 class Step:
-    """A Gauss-Newton step: delta (q,); covariance (q, q) by the information alone, robust (q, q) by blocks; chi2: the weighted sum of
-    squares before it."""
+    """A Gauss-Newton step: delta (q,); covariance (q, q) by the information alone; robust, by_blocks (q, q) by blocks, as `left_out` and
+    `unbiased` of `BlockCovariances`, with what priors add; chi2: the weighted sum of squares before it."""
 
     delta: FloatArray
     covariance: FloatArray
     robust: FloatArray
+    by_blocks: FloatArray
     chi2: float
 
 
@@ -88,61 +90,78 @@ def step(rows: Whitened, prior_mean: FloatArray, prior_std: FloatArray, inflatio
     """Least squares with a Gaussian prior of the step, prior_std (q,) infinite where there is none. inflation: of the innovations'
     variance, by whose root prior_std is divided.
 
-    robust: by the steps without each block in turn (`left_out`); not below the information's. A direction that neither data nor prior
-    determine has an infinite variance, as a robust one has where that is so without one of the blocks.
+    robust: not below the information's. A direction that neither data nor prior determine has an infinite variance, as a robust one has
+    where that is so without one of the blocks.
     """
     hessian, score = rows.information()
     precision = np.where(np.isfinite(prior_std), 1.0 / np.where(np.isfinite(prior_std), prior_std, 1.0) ** 2, 0.0)
     full, score = hessian + np.diag(precision), score + precision * prior_mean
+    root, unknown = _root_of_inverse(full)
+    covariance = root @ root.T
+    delta = covariance @ score
+    found = block_covariances(rows.columns, rows.residual - rows.columns @ delta, rows.block, full)
+    # What priors contribute is no estimate of these blocks.
+    assumed = inflation * covariance @ np.diag(precision) @ covariance
+    robust = found.left_out + assumed
+    grow = np.sqrt(np.maximum(np.diag(covariance) / np.maximum(np.diag(robust), 1e-300), 1.0))
+    robust = robust * np.outer(grow, grow)
+    for matrix, infinite in ((covariance, unknown), (robust, unknown | found.alone)):
+        matrix[infinite, infinite] = np.inf
+    return Step(delta, covariance, robust, found.unbiased + assumed, float(rows.residual @ rows.residual))
+
+
+def _root_of_inverse(full: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """(q, k) whose product with its transpose is the inverse of an information matrix (q, q), on the k directions that it determines, and
+    (q,) which parameters it does not."""
     scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
     value, vector = np.linalg.eigh(full / np.outer(scale, scale))
     known = value > SINGULAR
-    covariance = (vector[:, known] / value[known]) @ vector[:, known].T / np.outer(scale, scale)
-    delta = covariance @ score
-    robust, alone = left_out(rows.columns, rows.residual, rows.block, full, score)
-    # What priors contribute is no estimate of these blocks.
-    robust = robust + inflation * covariance @ np.diag(precision) @ covariance
-    grow = np.sqrt(np.maximum(np.diag(covariance) / np.maximum(np.diag(robust), 1e-300), 1.0))
-    robust = robust * np.outer(grow, grow)
     unknown = (np.abs(vector[:, ~known]) > LOADING).any(axis=1)
-    for matrix, infinite in ((covariance, unknown), (robust, unknown | alone)):
-        matrix[infinite, infinite] = np.inf
-    return Step(delta, covariance, robust, float(rows.residual @ rows.residual))
+    return vector[:, known] / np.sqrt(value[known]) / scale[:, None], unknown
 
 
-def left_out(
-    columns: FloatArray, residual: FloatArray, block: NDArray[np.intp], full: FloatArray, score: FloatArray
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Covariance (q, q) of a least squares step by the steps without each block in turn (MacKinnon, Nielsen and Webb, J. Applied
-    Econometrics 38, 2023: CV3), and (q,) which parameters nothing determines without one of them.
+class BlockCovariances(NamedTuple):
+    """Covariances (q, q) of a least squares estimate by its blocks, and alone (q,): parameters that nothing determines without one of them.
 
-    columns (N, q), residual, block (N,): whitened rows; full (q, q), score (q,): normal equations of all of them, with any prior.
+    With M the inverse of the information, and of a block X, r its rows, G = X'X and s = X'r at the estimate,
 
-    What few blocks show is as uncertain as these differ. The sandwich of scores at the estimate, which such blocks have made fit them,
-    does not see that: a throttle above 0.43 in one second of 35 made a limit of the motors of 0.43 +- 0.03 (p 3e-8), where ArduPilot's
-    simulator has none; without that second nothing determines one.
+        left_out = (n - 1) / n sum_g (M (I - G M)^-1 s) (..)'        the steps without each block in turn
+        unbiased = sum_g (M (I - G M)^-1/2 s) (..)'                  the expected covariance, where the rows are white
+
+    (MacKinnon, Nielsen and Webb, J. Applied Econometrics 38, 2023: CV3; Bell and McCaffrey 2002: CR2.)
+    """
+
+    left_out: FloatArray
+    unbiased: FloatArray
+    alone: NDArray[np.bool_]
+
+
+def block_covariances(
+    columns: FloatArray, left: FloatArray, block: NDArray[np.intp], full: FloatArray
+) -> BlockCovariances:
+    """columns (N, q): whitened rows; left, block (N,): what they leave at the estimate, and their blocks; full (q, q): the information of
+    all blocks, with any prior's.
+
+    What few blocks show is as uncertain as the estimates without each of them differ. Scores at the estimate, which such blocks have made
+    fit them, do not say so: a throttle above 0.43 in one second of 35 made a limit of the motors of 0.43 +- 0.03 (p 3e-8), where
+    ArduPilot's simulator has none; without that second nothing determines one.
     """
     order = np.argsort(block, kind="stable")
     begins = np.flatnonzero(np.diff(block[order], prepend=-1))[1:]
-    scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
-    pieces = zip(np.split(columns[order] / scale, begins), np.split(residual[order], begins), strict=True)
+    root, _ = _root_of_inverse(full)
+    pieces = zip(np.split(columns[order] @ root, begins), np.split(left[order], begins), strict=True)
     own = [(x.T @ x, x.T @ r) for x, r in pieces]
-    grams, scores = np.stack([h for h, _ in own]), np.stack([g for _, g in own])
-    n = len(own)
-
-    def steps(information: FloatArray, scores: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(n, q) each, and (q,) what one of them does not determine."""
-        value, vector = np.linalg.eigh(information)
-        known = value > SINGULAR
-        along = np.einsum("nij,ni->nj", vector, scores) / np.where(known, value, np.inf)
-        loading = np.where(known[:, None, :], 0.0, np.abs(vector))
-        return np.einsum("nij,nj->ni", vector, along) / scale, np.any(loading > LOADING, axis=(0, 2))
-
-    information, total = full / np.outer(scale, scale), score / scale
-    every, _ = steps(information[None], total[None])
-    without, lost = steps(information - grams, total - scores)
-    apart = without - every
-    return apart.T @ apart * (n - 1) / n, lost
+    share, axes = np.linalg.eigh(np.stack([h for h, _ in own]))  # of the information that is a block's
+    along = np.einsum("nij,ni->nj", axes, np.stack([g for _, g in own]))
+    rest = 1.0 - share
+    known = rest > SINGULAR
+    rest, n = np.where(known, rest, np.inf), len(own)
+    directions = np.einsum("qi,nij->nqj", root, axes)
+    apart, expected = (np.einsum("nqj,nj->nq", directions, along / by) for by in (rest, np.sqrt(rest)))
+    lost = np.abs(directions) * np.sqrt(np.diag(full))[:, None]
+    lost = lost > LOADING * np.linalg.norm(lost, axis=1, keepdims=True)
+    alone = (lost & ~known[:, None, :]).any(axis=(0, 2))
+    return BlockCovariances(apart.T @ apart * (n - 1) / n, expected.T @ expected, alone)
 
 
 def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray) -> tuple[FloatArray, FloatArray]:

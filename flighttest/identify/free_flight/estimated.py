@@ -37,7 +37,7 @@ class FreeFlight:
     covariance (q, q) in the order of `names`; between (q, q): what of it flights differ by; noise: spectrum of what is left, per channel;
     rms: per channel of the residual, SI units; seconds: of flight used; priors: names whose error is mostly the prior's, or that nothing
     determines; spread: by name of a shared parameter, the standard deviation by which flights differ in it beyond their errors; inflation:
-    median ratio of the robust variances to those of the information alone, at least 1, by which differences of log likelihoods are to be
+    median ratio of the variances by blocks to those of the information alone, at least 1, by which differences of log likelihoods are to be
     divided (Burnham and Anderson 2002, section 2.5); blocks: of the robust covariance; part: of the model (`estimation.estimator.BLOCKS`);
     period_s: between the samples of the residual; initial: values of the states that nothing measured, in units of their prior standard
     deviation, that the equations are linear about.
@@ -106,8 +106,8 @@ def mixture(found: Sequence[FreeFlight]) -> FreeFlight:
     return replace(best, covariance=best.covariance + between)
 
 
-def inflation_of(model: FloatArray, robust: FloatArray) -> float:
-    """Of covariances (q, q) by the information alone and robust: `FreeFlight.inflation`."""
-    known = np.isfinite(np.diag(robust)) & np.isfinite(np.diag(model)) & (np.diag(model) > 0.0)
-    ratio = np.diag(robust)[known] / np.diag(model)[known]
+def inflation_of(model: FloatArray, by_blocks: FloatArray) -> float:
+    """Of covariances (q, q) by the information alone and by blocks: `FreeFlight.inflation`."""
+    known = np.isfinite(np.diag(by_blocks)) & np.isfinite(np.diag(model)) & (np.diag(model) > 0.0)
+    ratio = np.diag(by_blocks)[known] / np.diag(model)[known]
     return max(float(np.median(ratio)), 1.0) if ratio.size else 1.0

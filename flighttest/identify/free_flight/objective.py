@@ -236,8 +236,10 @@ class EquationObjective:
         else:  # a moment of the air is driven by a velocity that is no state of the loops
             wrong = sum(lack.excess for lack in lacks.values())
         known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so
-        robust = made.robust + known @ wrong @ known
+        lacking = known @ wrong @ known
+        robust = made.robust + lacking
         drift = np.diag([self.asked.model.param[c.split("@")[0]].drift ** 2 for c in self.columns])
         blocks = int(rows.block.max(initial=-1)) + 1
         determined = np.isfinite(np.diag(made.covariance))
-        return _Errors(robust + extra + drift, extra, spread, inflation_of(made.covariance, robust), blocks, determined)
+        inflation = inflation_of(made.covariance, made.by_blocks + lacking)
+        return _Errors(robust + extra + drift, extra, spread, inflation, blocks, determined)
