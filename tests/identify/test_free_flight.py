@@ -315,31 +315,6 @@ def test_an_accelerometer_that_was_logged_less_often_than_attitudes_is_used_at_i
     assert found.values["d_x"] == pytest.approx(TRUTH["d_x"], rel=0.25)
 
 
-@pytest.mark.parametrize("above_m", [0.0, 0.1])
-def test_what_gusts_turn_is_no_lever_arm_of_the_accelerometer(above_m):
-    """Gusts that push and turn at once: an accelerometer in the centre of mass seemed to be 0.27 m below it in flights of the real
-    firmware, and one 0.057 m above it 0.010 m."""
-    (whole,) = stretches(flight(60, 5, gust=0.2))
-    rng, n, period = np.random.default_rng(5), whole.t_s.size, float(np.median(np.diff(whole.t_s)))
-    gust, white = np.zeros(n), rng.standard_normal(n)  # rad/s^2, of 0.1 s
-    for k in range(1, n):
-        gust[k] = (1.0 - period / 0.1) * gust[k - 1] + white[k]
-    wanted = np.repeat(0.1 * rng.standard_normal(n // 40 + 1), 40)[:n]
-    angle, rate, asked = 0.0, 0.0, np.zeros(n)
-    for k in range(n):
-        asked[k] = 100.0 * (wanted[k] - angle) - 14.0 * rate
-        rate += period * asked[k]
-        angle += period * rate
-    turning = np.cumsum(asked + gust) * period
-    still = np.zeros(n)
-    force = whole.y["f_x_m_s2"] - 0.27 * gust + above_m * np.gradient(turning, period)
-    inwards = whole.y["f_z_m_s2"] - above_m * turning**2
-    y = {**whole.y, "f_x_m_s2": force, "f_z_m_s2": inwards, "p_rad_s": still, "q_rad_s": turning, "r_rad_s": still}
-    known = replace(whole, y=y, u={**whole.u, "pitch_ref_rad": (whole.t_s, wanted)})
-    found = estimate([known], Model(attitude_loops=False).with_terms("imu_lever_arm"), free=(*NAMES, "arm_z"))
-    assert found.values["arm_z"] == pytest.approx(above_m, abs=0.01)
-
-
 @pytest.mark.slow
 def test_equations_of_the_wrong_form_widen_intervals():
     """A force by the square of the speed, fitted by a line: the square recurs with the state."""

@@ -31,7 +31,7 @@ BLEND_S = 0.5  # of the complementary filter of velocity and accelerometer
 # in 35; without it in 24, with 0.5 s in 32.
 INTEGRATED_S = 2.0
 TURNED_BY = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s")
-ANSWER_S, ANSWER_STEP_S = 0.6, 0.04  # of an attitude loop to its reference
+ANSWER_S, ANSWER_STEP_S = 0.6, 0.02  # of an attitude loop to its reference, and what of it is resolved
 LINE_S = 0.25  # of velocity alone: drag of what is quicker is below 1 % of its acceleration
 
 
