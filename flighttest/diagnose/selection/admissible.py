@@ -32,7 +32,7 @@ class EstimatedModel:
 def outside_prior(term: Term, found: EstimatedModel, least: float, *, repeated: bool = False) -> str:
     """Why the estimates of a term are outside its prior: at a bound (where steps were repeated, not at its `natural_bound`; else
     also within their error of a lower one: a time constant that is not distinguished from none has not been seen), on the side
-    of the null value that physics does not allow, a limit that nothing in the flights reached. Empty where they are inside.
+    of the null value that physics does not allow, a limit that nothing in the flights surely reached. Empty where they are inside.
 
     least: standard errors from nothing, at which a coefficient is there by itself.
     """
@@ -58,8 +58,13 @@ def outside_prior(term: Term, found: EstimatedModel, least: float, *, repeated: 
         # One of several may be there by chance.
         if _wrong(p, value) and (len(coefficients) == 1 or surely_not_allowed(p, found)):
             return f"{p.name} is {value:.3g}{unit_suffix(p)}, which physics does not allow"
-        if p.limits and (most := max((_most(p.limits, found.values, s) for s in found.segments), default=0.0)) < value:
-            return f"{p.name} is {value:.3g}{unit_suffix(p)}, and no more than {most:.3g} was flown"
+        if p.limits:
+            most = max((_most(p.limits, found.values, s) for s in found.segments), default=0.0)
+            if most < value:
+                return f"{p.name} is {value:.3g}{unit_suffix(p)}, and no more than {most:.3g} was flown"
+            # A limit that may be what was flown at most may be none.
+            if most < value + (error := found.half_interval(p)):
+                return f"{p.name} is {value:.3g} +- {error:.2g}{unit_suffix(p)}, and no more than {most:.3g} was flown"
         if p.limits == "throttle" and value < (half := _median_throttle(found.segments)):
             return f"{p.name} is {value:.3g}{unit_suffix(p)}, and half of the flight is above {half:.3g}: no height is held beyond a limit"
     return ""
