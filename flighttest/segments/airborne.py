@@ -18,7 +18,7 @@ _IDLE = 0.02  # throttle of motors that do not lift
 _LOW_M = 0.15
 _STILL_M_S = 0.15
 _STANDS_S = 1.0  # motors off for so long in the air would be a fall at 10 m/s
-# Where the specific force shows what carries it: rotors have followed their command by half of that (lags are 0.05 to 0.2 s).
+# Where the specific force shows what carries it: rotors have followed their command by half of that (lags are 0.05 to 0.2 s), its median.
 _RESTS_S = 0.5
 # An estimate drifts while the vehicle stands (by 0.2 m/s in a Crazyflie's log); in a fall of `_STANDS_S` the median speed is 5 m/s.
 _STANDS_M_S = 0.5
@@ -206,7 +206,7 @@ def _landings(recording: Recording, start: float, end: float) -> list[tuple[floa
     found: list[tuple[float, float]] = []
     for first, after in zip(turns[::2], turns[1::2], strict=True):
         down, up = float(t[first]), float(t[after - 1])
-        long = up - down >= _STANDS_S or (up - down >= _RESTS_S and _carried(recording, 0.5 * (down + up), up))
+        long = up - down >= _STANDS_S or (up - down >= _RESTS_S and _carried(recording, down, up))
         if long and _at_rest(recording, down, up):
             found.append(_low(recording, down, up))
     return found

@@ -177,6 +177,18 @@ def test_what_a_single_block_shows_has_no_robust_variance():
     assert np.isfinite(known.robust).all()
 
 
+@pytest.mark.parametrize(("apart", "known"), [(0.0, False), (0.003, True)])
+def test_columns_that_are_alike_determine_neither_of_their_parameters(apart, known):
+    rng = np.random.default_rng(18)
+    one = rng.standard_normal(400)
+    columns = np.column_stack([one, one + apart * rng.standard_normal(400)])
+    white = {"y": Autoregression(np.array([1.0]), 1.0)}
+    stream = Stream("y", 0, rng.standard_normal(400), columns)
+    made = step(whiten([stream], white, 50), np.zeros(2), np.full(2, np.inf))
+    for matrix in (made.covariance, made.robust):
+        assert (np.isfinite(np.diag(matrix)) == known).all()
+
+
 def flown(missing: float, seed: int = 6, n: int = 4000) -> Stream:
     """Residual of y = x + missing * x^2 + coloured noise beside a line in x, x slow."""
     rng = np.random.default_rng(seed)
