@@ -100,8 +100,7 @@ def outputs_of(
 
 
 def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_delay_s: float) -> FloatArray:
-    """One measured signal (`physics.blocks.EXOGENOUS`) at the segment's times; angles unwrapped. An angular acceleration is that of the
-    gyroscope, where the segment has no channel of its own for it."""
+    """One measured signal (`physics.blocks.EXOGENOUS`) at the segment's times; angles unwrapped."""
     key = (
         name,
         nominal_voltage_v if name == "voltage_v" else 0.0,
@@ -131,7 +130,7 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
             return zero_order_hold(segment.u[f"{axis}_ref_rad"], t - attitude_delay_s)
         return exogenous(segment, f"{axis}_rad", nominal_voltage_v, attitude_delay_s)
     if name in _TURNING:
-        return filled(t, y[name], 0.0) if name.endswith("_dot_rad_s2") and name in y else _turning(segment, name)
+        return rotation_at(segment, name)
     if name in _ANGLES:
         return attitude_angles(segment)[:, _ANGLES.index(name)]
     return filled(t, y.get(name), 0.0)
@@ -148,8 +147,9 @@ def _attitude(segment: Segment) -> FloatArray:
     return angles_between_samples(segment.t_s, np.stack([y.get(n, missing) for n in _ANGLES], axis=1), rates)
 
 
-def _turning(segment: Segment, name: str) -> FloatArray:
-    """An angular velocity, rad/s, or acceleration, rad/s^2 (n,), at its time: a known filter of the gyroscope makes it late.
+def rotation_at(segment: Segment, name: str, seen_by: str = "") -> FloatArray:
+    """An angular velocity, rad/s, or acceleration, rad/s^2 (n,), at its time: a known filter of the gyroscope makes it late. seen_by: a
+    channel group, as late as whose known filter it is to be.
 
     Left late, a rotation would have the accelerometer's filter beside the gyroscope's. An IMU 0.1 m above the centre, added to three parts
     of a log with filters of 20 and 40 Hz, was found 0.095 to 0.101 m above, +- 0.003 to 0.011, and is 0.097 to 0.103, +- 0.001 to 0.006.
@@ -161,7 +161,8 @@ def _turning(segment: Segment, name: str) -> FloatArray:
     from scipy.interpolate import CubicSpline  # a fifth of a second, which what only plans need not wait for
 
     # A spline: differences of neighbours blur an angular acceleration that jumps, as after a step, by several percent.
-    return np.asarray(CubicSpline(t, rate)(np.minimum(t + _lag_s(segment, "rates"), t[-1]), order))
+    late_s = _lag_s(segment, "rates") - _lag_s(segment, seen_by)
+    return np.asarray(CubicSpline(t, rate)(np.clip(t + late_s, t[0], t[-1]), order))
 
 
 def _lag_s(segment: Segment, group: str) -> float:

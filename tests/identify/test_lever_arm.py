@@ -4,55 +4,70 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import bilinear, lfilter
 
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.physics.model import Model
 from tests.identify.test_free_flight import NAMES, flight
 
 WITH_ARM = Model(attitude_loops=False).with_terms("imu_lever_arm")
+FINE = 20  # steps of integration in a sample of 50 Hz
+FILTER_HZ = 20.0  # ArduPilot's default of gyroscope and accelerometer
+
+
+def turned(above_m, seed, gust=0.0, every=1, filtered=False):
+    """60 s at 50 Hz, or each second or fifth sample of it: jumps of the reference pitch, a loop of 10 rad/s, motors of 0.03 s.
+
+    gust: rad/s^2 RMS, of 0.1 s, which pushes by -0.27 m/s^2 for each rad/s^2; filtered: gyroscope and accelerometer are.
+    """
+    (whole,) = stretches(flight(60, seed, gust=0.05))
+    rng, n, period = np.random.default_rng(seed), whole.t_s.size, float(np.median(np.diff(whole.t_s)))
+    h = period / FINE
+    jumps = np.arange(0, n * FINE, 40 * FINE) + rng.integers(0, FINE, n // 40 + 1)
+    values = 0.1 * rng.standard_normal(jumps.size)
+    wanted = np.append(0.0, values)[np.searchsorted(jumps, np.arange(n * FINE), side="right")]
+    pushed = lfilter([np.sqrt(2.0 * h / 0.1)], [1.0, h / 0.1 - 1.0], gust * rng.standard_normal(n * FINE))
+    angle = rate = by_motors = 0.0
+    rows = np.zeros((n * FINE, 2))
+    for k in range(n * FINE):
+        by_motors += h / 0.03 * (100.0 * (wanted[k] - angle) - 14.0 * rate - by_motors)
+        turning = by_motors + pushed[k]
+        rate += h * turning
+        angle += h * rate
+        rows[k] = rate, turning
+    w = 2.0 * np.pi * FILTER_HZ
+    low_pass = bilinear([w * w], [1.0, np.sqrt(2.0) * w, w * w], 1.0 / h)
+    rates = rows[:, 0]
+    ahead, up = above_m * rows[:, 1] - 0.27 * pushed, -above_m * rates**2
+    seen = [lfilter(*low_pass, x) if filtered else x for x in (rates, ahead, up)]
+    rates, ahead, up = (x[::FINE] for x in seen)
+    still = np.zeros(n)
+    force, lift = whole.y["f_x_m_s2"] + ahead, whole.y["f_z_m_s2"] + up
+    y = {**whole.y, "f_x_m_s2": force, "f_z_m_s2": lift, "p_rad_s": still, "q_rad_s": rates, "r_rad_s": still}
+    known = {"rates": FILTER_HZ, "specific_force": FILTER_HZ} if filtered else {}
+    return replace(
+        whole, t_s=whole.t_s[::every], y={name: x[::every] for name, x in y.items()}, context=replace(whole.context, filters=known),
+        u={**whole.u, "pitch_ref_rad": (whole.t_s[0] + jumps * h, values)},
+    )  # fmt: skip
+
+
+def arm_of(known):
+    return estimate([known], WITH_ARM, free=(*NAMES, "arm_z")).values["arm_z"]
 
 
 @pytest.mark.parametrize("above_m", [0.0, 0.1])
 def test_what_gusts_turn_is_no_lever_arm_of_the_accelerometer(above_m):
     """Gusts that push and turn at once: an accelerometer in the centre of mass seemed to be 0.27 m below it in flights of the real
     firmware, and one 0.057 m above it 0.010 m."""
-    (whole,) = stretches(flight(60, 5, gust=0.2))
-    rng, n, period = np.random.default_rng(5), whole.t_s.size, float(np.median(np.diff(whole.t_s)))
-    gust, white = np.zeros(n), rng.standard_normal(n)  # rad/s^2, of 0.1 s
-    for k in range(1, n):
-        gust[k] = (1.0 - period / 0.1) * gust[k - 1] + white[k]
-    wanted = np.repeat(0.1 * rng.standard_normal(n // 40 + 1), 40)[:n]
-    angle, rate, asked = 0.0, 0.0, np.zeros(n)
-    for k in range(n):
-        asked[k] = 100.0 * (wanted[k] - angle) - 14.0 * rate
-        rate += period * asked[k]
-        angle += period * rate
-    turning = np.cumsum(asked + gust) * period
-    still = np.zeros(n)
-    force = whole.y["f_x_m_s2"] - 0.27 * gust + above_m * np.gradient(turning, period)
-    inwards = whole.y["f_z_m_s2"] - above_m * turning**2
-    y = {**whole.y, "f_x_m_s2": force, "f_z_m_s2": inwards, "p_rad_s": still, "q_rad_s": turning, "r_rad_s": still}
-    known = replace(whole, y=y, u={**whole.u, "pitch_ref_rad": (whole.t_s, wanted)})
-    found = estimate([known], WITH_ARM, free=(*NAMES, "arm_z"))
-    assert found.values["arm_z"] == pytest.approx(above_m, abs=0.01)
+    assert arm_of(turned(above_m, 5, gust=1.0)) == pytest.approx(above_m, abs=0.006)
 
 
-def test_a_quick_turn_is_resolved():
-    """References that jump, a loop of 10 rad/s, 50 Hz: answers every 0.04 s made 0.119 m of it, by a telemetry log of the simulator 0.0225
-    of 0.0173 m. What is left is the turn between two samples."""
-    above_m, fine = 0.1, 20
-    (whole,) = stretches(flight(60, 5, gust=0.05))
-    rng, n, period = np.random.default_rng(5), whole.t_s.size, float(np.median(np.diff(whole.t_s)))
-    wanted = np.repeat(0.1 * rng.standard_normal(n // 40 + 1), 40)[:n]
-    angle = rate = 0.0
-    turned = np.zeros((n * fine, 2))
-    for k in range(n * fine):
-        turning = 100.0 * (wanted[k // fine] - angle) - 14.0 * rate
-        rate += period / fine * turning
-        angle += period / fine * rate
-        turned[k] = rate, turning
-    (rates, turns), still = turned[::fine].T, np.zeros(n)
-    force, inwards = whole.y["f_x_m_s2"] + above_m * turns, whole.y["f_z_m_s2"] - above_m * rates**2
-    y = {**whole.y, "f_x_m_s2": force, "f_z_m_s2": inwards, "p_rad_s": still, "q_rad_s": rates, "r_rad_s": still}
-    known = replace(whole, y=y, u={**whole.u, "pitch_ref_rad": (whole.t_s, wanted)})
-    assert estimate([known], WITH_ARM, free=(*NAMES, "arm_z")).values["arm_z"] == pytest.approx(above_m, abs=0.016)
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_a_quick_turn_is_resolved(every):
+    """References that jump between samples of 50, 25 and 10 Hz."""
+    assert arm_of(turned(0.1, 5, every=every)) == pytest.approx(0.1, abs=0.006)
+
+
+def test_filters_of_the_instruments_do_not_lengthen_an_arm():
+    """Known filters of 20 Hz on 25 samples/s: behind a line from sample to sample they made 0.1057 m of it."""
+    assert arm_of(turned(0.1, 5, every=2, filtered=True)) == pytest.approx(0.1, abs=0.004)
