@@ -11,7 +11,7 @@ import pytest
 from flighttest.diagnose import Verdict, diagnose
 from flighttest.diagnose.answer import SearchSupport
 from flighttest.diagnose.conclusion import sentence_of
-from flighttest.diagnose.free_flight import equation_search
+from flighttest.diagnose.free_flight import equation_search, estimates
 from flighttest.diagnose.free_flight.effect_size import EffectSize
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.estimates import null_inside_interval
@@ -113,10 +113,10 @@ def test_of_several_flights_that_lack_nothing_nothing_is_named():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rule", ["outside_prior", "against_larger"])
-def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monkeypatch, rule):
+@pytest.mark.parametrize(("asks", "rule"), [(estimates, "outside_prior"), (equation_search, "against_larger")])
+def test_estimates_that_cannot_be_and_names_that_predict_worse_are_refused(monkeypatch, asks, rule):
     """A load of -27 % of the mass was named on a tail-sitter, 71 nats better, with errors of 1.3 and 2.8 times the base model's."""
-    monkeypatch.setattr(equation_search, rule, lambda *_, **__: "it cannot be")
+    monkeypatch.setattr(asks, rule, lambda *_, **__: "it cannot be")
     found = find_terms(stretches(tilted()), ALONE, TILTS)
     assert "attitude_offset" not in found.named
     assert found.refused["attitude_offset"][1] == "it cannot be"
@@ -222,7 +222,7 @@ def test_a_significant_term_is_estimated_though_more_significant_ones_were_refus
     flown = stretches(flight(60.0, 24, gust=0.1, climb=1.0, run="fast", offset=0.06, quadratic=(0.1, 0.1, 0.1)))
     offset, drag = (catalogue()[n] for n in ("attitude_offset", "quadratic_drag"))
     monkeypatch.setattr(equation_search, "TRIED", 1)
-    monkeypatch.setattr(equation_search, "outside_prior", lambda term, *_: "no" if term is offset else "")
+    monkeypatch.setattr(estimates, "outside_prior", lambda term, *_: "no" if term is offset else "")
     found = find_terms(flown, ALONE, (offset, drag))
     assert [s.term for s in found.screened] == [offset.id, drag.id]
     assert drag.id in {*found.named, *found.refused}

@@ -14,7 +14,6 @@ against what looks like it at one heading (`identify.winds`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -30,7 +29,6 @@ from flighttest.diagnose.free_flight.estimates import (
     null_inside_interval,
 )
 from flighttest.diagnose.free_flight.prediction import against_larger, held_out_table
-from flighttest.diagnose.selection.admissible import EstimatedModel, outside_prior
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import OF_INSTRUMENTS, acts_in
 from flighttest.diagnose.selection.comparison import PROBABILITY, level_of, log_odds_asked, probability_of
@@ -59,6 +57,7 @@ PART_IN_WORDS = {"translation": "translation", "roll_pitch": "roll and pitch loo
 TRIED = 4  # of the most significant terms are estimated anew in each step
 MOST_NAMED = 5
 OFFSET_TERM = "attitude_offset"
+NOT_NEEDED = "not needed beside the terms that joined later"
 NOT_BESIDE = "no wind is seen beside what looks like one at a single heading"
 
 
@@ -78,7 +77,8 @@ class NamedByEquations:
 class EquationSearch:
     """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
     anew and not named, with the reason; errors: standard errors of the coefficients of each term estimated beside the present model; small:
-    of those refused, the ones that are in the model, of instruments, with too small an effect; screened: the last score tests; winds: of
+    of those refused, the ones that are in the model, of instruments, with too small an effect; left: those that joined and left, which do
+    not return; screened: the last score tests; winds: of
     each flight, empty where none is in the model; turned: whether headings differ enough to part a wind from an attitude offset; complete:
     False where an interrupt ended the search."""
 
@@ -89,6 +89,7 @@ class EquationSearch:
     refused: dict[str, tuple[float, str]] = field(default_factory=dict)
     errors: dict[str, dict[str, float]] = field(default_factory=dict)
     small: list[str] = field(default_factory=list)
+    left: list[str] = field(default_factory=list)
     screened: tuple[Screened, ...] = ()
     offered: tuple[str, ...] = ()
     winds: tuple[FlightWind, ...] = ()
@@ -141,7 +142,7 @@ def find_terms(
     try:
         _wind_first(found, asked, known)
         while len(found.named) < MOST_NAMED and _step(found, asked, known):
-            _drop_what_left(found, asked)
+            _drop_what_left(found, asked, len(known))
         _ask_small_ones_again(found, asked, known)
     except KeyboardInterrupt:
         found.complete = False
@@ -230,7 +231,7 @@ def _each_and_all(terms: Sequence[str]) -> list[tuple[str, ...]]:
 def _step(found: EquationSearch, asked: ModelEstimates, known: Mapping[str, Term]) -> bool:
     """Screen, estimate the most significant terms anew, take the best; False where none is to be taken."""
     now = found.final
-    pool = [t for t in known.values() if t.id not in now.model.terms]
+    pool = [t for t in known.values() if t.id not in (*now.model.terms, *found.left)]
     asked.support.progress(f"{PART_IN_WORDS[asked.part]}: screening the catalogue")
     found.screened = screen(asked.flown, now, pool, asked.support.side_by_side)
     # Noise holds what is missing until it is in the model, and a score test of few blocks says little then: what likelihood alone would
@@ -330,9 +331,7 @@ def _against(trial: _Trial, asked: ModelEstimates, candidates: int) -> str:
     found = trial.larger
     if why := null_inside_interval(found, trial.term):
         return why
-    estimates = EstimatedModel(found.names, found.values, lambda: found.std, asked.flown)
-    least = math.sqrt(2.0 * log_odds_asked(candidates))
-    if why := outside_prior(trial.term, estimates, least):
+    if why := asked.outside_prior(found, trial.term, candidates):
         return why
     # A name predicts worse where it does so with means and without: what shows the slope of thrust at hover makes a constant error of a
     # thrust that is not proportional to the throttle, and what tilts the vehicle explains little but means.
@@ -360,27 +359,39 @@ def _ask_small_ones_again(found: EquationSearch, asked: ModelEstimates, known: M
             found.named[name] = NamedByEquations(name, nats, p_value, effect.sizes)
 
 
-def _drop_what_left(found: EquationSearch, asked: ModelEstimates) -> None:
-    """Terms that are no longer significant beside the newest leave, the newest excepted."""
-    known = {t.id: t for t in found.final.model.built_terms}
-    newest = found.final.model.terms[-1]
-    for name in [n for n in found.named if n != newest]:
-        if name == WIND_TERM:
-            gone = [] if any_wind(found.seen()) else [name, *found.beside_wind]
-        elif name in BESIDE_WIND and WIND_TERM in found.named:
-            gone = []
-        else:
-            gone = [name] if _no_longer_needed(found.final, known[name], asked) else []
-        if not gone:
-            continue
-        smaller = found.final.model.without_terms(*gone)
+def _drop_what_left(found: EquationSearch, asked: ModelEstimates, candidates: int) -> None:
+    """Terms that are no longer significant or admissible beside the newest leave, then the newest itself if it is not without them."""
+    stays = [found.final.model.terms[-1]]
+    while leaving := _leaving([n for n in found.named if n not in stays], found, asked, candidates):
+        (name, *beside), why = leaving
+        smaller = found.final.model.without_terms(name, *beside)
         found.final = asked.estimate(smaller, _shared(found.final.values))
         del found.named[name]
-        found.refused[name] = (0.0, "not needed beside the terms that joined later")
+        found.left.append(name)
+        found.refused[name] = (0.0, why)
+        stays = []
 
 
-def _no_longer_needed(found: FreeFlight, term: Term, asked: ModelEstimates) -> bool:
-    """Whether a term with linear coefficients is significant no longer, or its value no longer known."""
-    return bool(term.amplitudes) and (
-        asked.presence(found, term) > EDGE_OF_INTERVAL or bool(null_inside_interval(found, term))
-    )
+def _leaving(
+    names: Sequence[str], found: EquationSearch, asked: ModelEstimates, candidates: int
+) -> tuple[tuple[str, ...], str] | None:
+    """The first of these terms that leaves, before what leaves with it, and why; None where all stay."""
+    known = {t.id: t for t in found.final.model.built_terms}
+    for name in names:
+        if name == WIND_TERM:
+            if not any_wind(found.seen()):
+                return (name, *found.beside_wind), NOT_NEEDED
+        elif name in BESIDE_WIND and WIND_TERM in found.named:
+            continue
+        elif why := _against_the_newest(found.final, known[name], asked, candidates):
+            return (name,), why
+    return None
+
+
+def _against_the_newest(found: FreeFlight, term: Term, asked: ModelEstimates, candidates: int) -> str:
+    """Why a term leaves: with linear coefficients it is significant no longer, or its value no longer known; or its estimates are outside
+    their prior beside a newer term. Empty where it stays."""
+    if term.amplitudes and (asked.presence(found, term) > EDGE_OF_INTERVAL or null_inside_interval(found, term)):
+        return NOT_NEEDED
+    outside = asked.outside_prior(found, term, candidates)
+    return f"beside the terms that joined later: {outside}" if outside else ""

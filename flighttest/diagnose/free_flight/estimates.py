@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,8 +11,14 @@ import numpy as np
 
 from flighttest.diagnose.answer import SearchSupport
 from flighttest.diagnose.free_flight.equation_screen import settings
-from flighttest.diagnose.selection.admissible import EstimatedModel, not_allowed_beside_others, unit_suffix
+from flighttest.diagnose.selection.admissible import (
+    EstimatedModel,
+    not_allowed_beside_others,
+    outside_prior,
+    unit_suffix,
+)
 from flighttest.diagnose.selection.candidates import null_value
+from flighttest.diagnose.selection.comparison import log_odds_asked
 from flighttest.errors import FitError
 from flighttest.estimation.equation_error import Stream, beside_random_effects, without_levels
 from flighttest.estimation.linearisation import FloatArray
@@ -88,9 +95,16 @@ class ModelEstimates:
 
     def _not_estimates(self, found: FreeFlight) -> dict[str, float]:
         """Name to null value."""
-        estimates = EstimatedModel(found.names, found.values, lambda: found.std, self.flown)
+        estimates = self._estimated(found)
         terms = ([p for p in t.amplitudes if p.name in found.names] for t in self.pool if t.id in found.model.terms)
         return {p.name: null_value(p) for own in terms for p in not_allowed_beside_others(own, estimates)}
+
+    def outside_prior(self, found: FreeFlight, term: Term, candidates: int) -> str:
+        """Why the estimates of a term are outside its prior, as of `admissible.outside_prior`; candidates: terms of the search."""
+        return outside_prior(term, self._estimated(found), math.sqrt(2.0 * log_odds_asked(candidates)))
+
+    def _estimated(self, found: FreeFlight) -> EstimatedModel:
+        return EstimatedModel(found.names, found.values, lambda: found.std, self.flown)
 
     def presence(self, found: FreeFlight, term: Term) -> float:
         """p-value of a term's linear coefficients against their null values, by the robust covariance of a test (`covariance_at`), times
