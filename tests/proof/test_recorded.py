@@ -114,6 +114,39 @@ def test_an_accelerometer_off_the_centre_shows_rotations_behind_its_own_filter(f
     assert f[inside] == pytest.approx(arm * w * np.cos(w * (times[inside] - late_s)), abs=0.03 * arm * w)
 
 
+def test_what_is_added_passes_the_known_filters_of_the_instruments():
+    """A force and a rate at once had a load's cable 0.796 +- 0.0012 m long by a diagnosis that has the filter, for 0.8 m."""
+    effects = {
+        "thrust_fade": {"fade_depth": 0.1, "fade_tau": 0.5},
+        "roll_pitch_coupling": {"pitch_to_roll": 0.5, "roll_to_pitch": 0.0},
+    }
+    flown = hovering()
+    t = flown.series["reference"].t_s
+    columns = {**flown.series["reference"].columns, "pitch_ref_rad": 0.1 * np.sin(2 * np.pi * t)}
+    flown = replace(flown, series={**flown.series, "reference": Series(t, columns)})
+    known = Provenance("a test", "table", filters={"specific_force": 10.0, "rates": 5.0})
+    at_once, late = (added(effects, one, steps=(SPAN,)) for one in (flown, replace(flown, provenance=known)))
+    inside = (t > 1.1) & (t < 18.0)
+    for channel, hz in (("f_z_m_s2", 10.0), ("p_rad_s", 5.0), ("roll_rad", np.inf)):
+        earlier = np.interp(t - np.sqrt(2.0) / (2.0 * np.pi * hz), *at_once[channel])
+        assert late[channel][1][inside] == pytest.approx(earlier[inside], abs=0.03 * np.ptp(earlier)), channel
+
+
+@pytest.mark.parametrize(("lowest_m", "taken"), [(0.06, True), (0.05, False), (-1.7, False)])
+def test_ground_effect_is_added_above_the_ground_alone(lowest_m, taken):
+    """The estimated height of a pilot's log is below the ground for half of its flight: an R^2 of 0.005 m^2 had 11 noise floors there."""
+    flown = hovering()
+    t = flown.series["height"].t_s
+    low = Series(t, {"height_m": np.where(t < 5.0, lowest_m, 5.0)})
+    flown = replace(flown, series={**flown.series, "height": low})
+    stub = SimpleNamespace(
+        recordings=(flown,), size=lambda _effects: 4.0, departure_m_s=lambda _effects: 0.1,
+        lowest_m=lambda: trial.FlownTrial.lowest_m(SimpleNamespace(recordings=(flown,))),
+    )  # fmt: skip
+    case = SimpleNamespace(order=("ground_effect",), sizes=(4.0,), signs=(1.0, 1.0, 1.0))
+    assert bool(trial.sized_effects(case, stub)) is taken
+
+
 def test_where_a_gyroscope_was_not_recorded_no_turn_is_made_up():
     """Across 4 s without a sample a spline of a turn of 3 Hz has accelerations that nothing showed: a line has 0.5 rad/s^2 at most."""
     flown, arm = hovering(), 0.1

@@ -144,8 +144,9 @@ class _Recorded:
             return np.zeros_like(x) if derivative else x
         return np.asarray(savgol_filter(x, window, order, deriv=derivative, delta=STEP_S))
 
-    def behind_filters(self, x: FloatArray, group: str, of: str) -> FloatArray:
-        """What a channel group shows of x (n,), which another one measured, by the delays of their known second-order filters."""
+    def behind_filters(self, x: FloatArray, group: str, of: str = "") -> FloatArray:
+        """What a channel group shows of x (n,), which another one measured, by the delays of their known second-order filters; without
+        another one, of what is so."""
         cutoffs = (self._recording.provenance.filters.get(g) for g in (group, of))
         late, early = (sqrt(2.0) / (2.0 * pi * hz) if hz else 0.0 for hz in cutoffs)
         return np.asarray(np.interp(self.t_s - late + early, self.t_s, x))
@@ -243,14 +244,16 @@ def _tilt_for(accel: FloatArray, yaw: float) -> tuple[float, float]:
 
 
 def _instruments(added: Mapping[str, FloatArray], effects: Effects, seen: _Recorded) -> dict[str, FloatArray]:
-    """Accelerometer channels as an accelerometer with a bias, or off the centre of mass, adds to them."""
-    force = np.stack([added[f"f_{a}_m_s2"] for a in "xyz"], axis=1)
+    """Channels of gyroscope and accelerometer as their known filters show them, and as an accelerometer with a bias, or off the centre of
+    mass, adds to them."""
+    rates = {f"{a}_rad_s": seen.behind_filters(added[f"{a}_rad_s"], "rates") for a in "pqr"}
+    force = np.stack([seen.behind_filters(added[f"f_{a}_m_s2"], "specific_force") for a in "xyz"], axis=1)
     bias = effects.get("accelerometer_bias", {})
     force = force + [bias.get(f"bias_{a}", 0.0) for a in "xyz"]
     if "imu_lever_arm" in effects:
         arm = np.array([effects["imu_lever_arm"][f"arm_{a}"] for a in "xyz"])
-        rates = np.stack([seen.curved(f"{a}_rad_s") + added[f"{a}_rad_s"] for a in "pqr"], axis=1)
-        turned = np.stack([seen.smooth(rates[:, k], 1, TURN_S, order=4) for k in range(3)], axis=1)
-        extra = np.cross(turned, arm) + np.cross(rates, np.cross(rates, arm))
+        whole = np.stack([seen.curved(name) + more for name, more in rates.items()], axis=1)
+        turned = np.stack([seen.smooth(whole[:, k], 1, TURN_S, order=4) for k in range(3)], axis=1)
+        extra = np.cross(turned, arm) + np.cross(whole, np.cross(whole, arm))
         force = force + np.stack([seen.behind_filters(x, "specific_force", "rates") for x in extra.T], axis=1)
-    return {f"f_{a}_m_s2": force[:, k] for k, a in enumerate("xyz")}
+    return rates | {f"f_{a}_m_s2": force[:, k] for k, a in enumerate("xyz")}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import time
@@ -146,6 +147,14 @@ class FlownTrial:
                     most = max(most, float(np.nanmax(np.abs(change), initial=0.0)))
         return most
 
+    def lowest_m(self) -> float:
+        """Recorded height that a hundredth of some flight is below. An estimate that drifts may be under the ground for half of one."""
+        heights = []
+        for r in self.recordings:
+            t, z = r.channel("height_m")
+            heights += [z[(t >= a) & (t <= b) & np.isfinite(z)] for a, b in flights(r)]
+        return min((float(np.quantile(z, 0.01)) for z in heights if z.size), default=-np.inf)
+
     def size(self, effects: Effects, without: str = "") -> float:
         """Noise floors that no refit of the base model copies: of all effects, or of one of them beside the others."""
         after = self._left(effects)
@@ -194,8 +203,12 @@ def sized_effects(case: RecordedCase, flown: FlownTrial) -> dict[str, dict[str, 
             if abs(reached / wanted - 1.0) < 0.2 or (reached < wanted and times >= one.most) or far:
                 break
             times = float(np.clip(times * wanted / max(reached, 1e-3), 0.1, one.most))
-        if reached >= LEAST_SHARE * wanted and flown.departure_m_s({effect: values}) <= MOST_DEPARTURE_M_S:
-            found[effect] = values
+        if reached < LEAST_SHARE * wanted or flown.departure_m_s({effect: values}) > MOST_DEPARTURE_M_S:
+            continue
+        # Nearer to the ground than this it is as a fan in a wall (`AirEffects`), and no flight was there.
+        if effect == "ground_effect" and flown.lowest_m() < 0.25 * math.sqrt(values["R2_m2"]):
+            continue
+        found[effect] = values
     return found
 
 
