@@ -35,6 +35,7 @@ def arms(recording, first, last):
 @pytest.mark.parametrize(
     ("log", "arm_m", "within"),
     [
+        ("copter_3.2_2014.BIN", 0.09, 0.035),
         ("copter_3.4_erlebrain3.BIN", 0.05, 0.005),
         ("copter_3.4_mechanical_failure.bin", 0.05, 0.008),
         ("sitl_4.7dev_steps.BIN", 0.0, 0.003),
@@ -49,6 +50,20 @@ def test_an_imu_off_the_centre_of_mass_is_seen_alike_by_two_axes_in_two_parts_of
     half = 0.5 * (first + last)
     found = [*arms(recording, first + 2.0, half), *arms(recording, half, last - 2.0)]
     np.testing.assert_allclose(found, arm_m, atol=within)
+
+
+def test_a_motor_is_at_its_limit_in_the_flights_that_have_one_and_in_no_others(repository, shared_data):
+    """Of the logs with motor commands; 0.02 of the flight is a start and a few jerks."""
+    for one in read_sets(repository / "examples" / "recordings" / "public.yaml"):
+        if "motor_data" not in one.name:
+            continue
+        for flown in open_recordings(sorted(shared_data.glob(one.files[0])), Reading(None)):
+            spans = flights(flown)
+            shares = []
+            for t, command in (flown.channel(f"motor_{k}") for k in range(1, 5)):
+                flying = np.any([(t >= a) & (t <= b) for a, b in spans], axis=0)
+                shares.append(float(np.mean(command[flying] > 0.999)))
+            assert (max(shares) > 0.03) is ("motor_saturation" in one.own), (one.name, flown.name, shares)
 
 
 @pytest.mark.slow
