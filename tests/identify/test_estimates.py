@@ -1,6 +1,7 @@
 """The fit finds the parameters that made the data, with their errors, and lists those that the data do not determine."""
 
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model
 from flighttest.segments.model import Flaw, Segment
 from tests.identify.campaign import QUIET, TRUTH, campaign
+
+identify_fit = import_module("flighttest.identify.fit")  # the package has a function of this name
 
 CHANNEL = {"T_d_attitude": "T_d", "T_d_yaw_rate": "T_d", "T_d_thrust": "T_d"}
 
@@ -89,6 +92,21 @@ def test_alpha_is_not_known_at_one_voltage(flown):
     e = fit(level).estimates["alpha"]
     assert not e.identifiable
     assert e.fly == "thrust"
+
+
+def test_an_estimate_is_no_better_for_what_is_held_beside_it(flown, monkeypatch):
+    """A drag that grows with the thrust was 0.165 +- 0.003 s/m beside a linear one that was held where the solver had wandered."""
+    model = default_model(flown).with_terms("thrust_scaled_drag")
+    drag = ("d_x", "d_y")
+    free = fit(flown, model)
+    held = fit(flown, model, frozen={n: free.estimates[n].value for n in drag})
+    rounds = iter([drag, ()])
+    monkeypatch.setattr(identify_fit, "hopeless", lambda *_: next(rounds))
+    found = fit(flown, model, start={n: free.estimates[n].value for n in drag})
+    assert all(found.estimates[n].std is None for n in drag)
+    assert held.estimates["c_h"].std < 0.8 * free.estimates["c_h"].std
+    assert found.estimates["c_h"].std == pytest.approx(free.estimates["c_h"].std, rel=0.1)
+    assert found.estimates["sigma_t"].std == pytest.approx(free.estimates["sigma_t"].std, rel=0.1)
 
 
 def test_without_voltage_alpha_has_no_effect_and_keeps_its_start(flown):

@@ -43,6 +43,11 @@ class Covariance:
         """(p, p) with the discrepancy."""
         return self.matrix if self.discrepancy is None else self.matrix + self.discrepancy
 
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard errors by name, the discrepancy included."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.whole)).tolist(), strict=True))
+
     def of(self, weights: FloatArray) -> tuple[float, float]:
         """Standard deviation and degrees of freedom of a linear combination, (p,), the discrepancy included (Welch and Satterthwaite: its
         limit is not estimated from few)."""
