@@ -148,8 +148,8 @@ def _attitude(segment: Segment) -> FloatArray:
 
 
 def rotation_at(segment: Segment, name: str, seen_by: str = "") -> FloatArray:
-    """An angular velocity, rad/s, or acceleration, rad/s^2 (n,), at its time: a known filter of the gyroscope makes it late. seen_by: a
-    channel group, as late as whose known filter it is to be.
+    """An angular velocity, rad/s, or acceleration, rad/s^2 (n,), at its time, which a known filter of the gyroscope makes late; seen_by: as
+    late as the known filter of this channel group makes it.
 
     Left late, a rotation would have the accelerometer's filter beside the gyroscope's. An IMU 0.1 m above the centre, added to three parts
     of a log with filters of 20 and 40 Hz, was found 0.095 to 0.101 m above, +- 0.003 to 0.011, and is 0.097 to 0.103, +- 0.001 to 0.006.

@@ -78,9 +78,8 @@ class EquationSearch:
     """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
     anew and not named, with the reason; errors: standard errors of the coefficients of each term estimated beside the present model; small:
     of those refused, the ones that are in the model, of instruments, with too small an effect; left: those that joined and left, which do
-    not return; screened: the last score tests; winds: of
-    each flight, empty where none is in the model; turned: whether headings differ enough to part a wind from an attitude offset; complete:
-    False where an interrupt ended the search."""
+    not return; screened: the last score tests; winds: of each flight, empty where none is in the model; turned: whether headings differ
+    enough to part a wind from an attitude offset; complete: False where an interrupt ended the search."""
 
     flown: Sequence[Segment]
     base: FreeFlight
