@@ -382,12 +382,12 @@ def _leaving(
                 return (name, *found.beside_wind), NOT_NEEDED
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             continue
-        elif why := _against_the_newest(found.final, known[name], asked, candidates):
+        elif why := _no_longer_admitted(found.final, known[name], asked, candidates):
             return (name,), why
     return None
 
 
-def _against_the_newest(found: FreeFlight, term: Term, asked: ModelEstimates, candidates: int) -> str:
+def _no_longer_admitted(found: FreeFlight, term: Term, asked: ModelEstimates, candidates: int) -> str:
     """Why a term leaves: with linear coefficients it is significant no longer, or its value no longer known; or its estimates are outside
     their prior beside a newer term. Empty where it stays."""
     if term.amplitudes and (asked.presence(found, term) > EDGE_OF_INTERVAL or null_inside_interval(found, term)):

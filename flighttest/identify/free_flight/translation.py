@@ -24,9 +24,10 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
-# Terms of instruments, which act behind the filters of what is integrated: a latency, also the name of its parameter, and lever arms.
 LATENCY, LEVER_ARM = "velocity_latency", "imu_lever_arm"
 ARMS = ("arm_x", "arm_y", "arm_z")
+# Terms of instruments, which act behind the filters of what is integrated, and their parameters.
+BEHIND_FILTERS = {LATENCY: (LATENCY,), LEVER_ARM: ARMS}
 BLEND_S = 0.5  # of the complementary filter of velocity and accelerometer
 # Of a velocity that nothing measured: for so long it is what the accelerometer adds up to. Its drag is assumed, and where it is another
 # one, intervals are wider by that velocity (`lack_of_fit`): of 36 estimates with drag of 0.5 1/s, assumed 0, 0.5 and 1, they hold the lag
@@ -35,7 +36,7 @@ INTEGRATED_S = 2.0
 TURNED_BY = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s")
 # Knots of the response of an angular acceleration to its reference, s. An arm of 0.03 m that was added to a log of 25 Hz cost it 4,300 of
 # 13,050 nats where the response was held over 0.04 s, and the accelerometer's filter followed; it costs 3,600.
-ANSWER_S = (0.0, *np.geomspace(0.01, 0.6, 16))
+RESPONSE_KNOTS_S = (0.0, *np.geomspace(0.01, 0.6, 16))
 LINE_S = 0.25  # of velocity alone: drag of what is quicker is below 1 % of its acceleration
 
 
@@ -115,12 +116,12 @@ def _asked(s: Segment, accelerations: FloatArray) -> FloatArray:
 
     A gust pushes the vehicle and turns it: what it turns is no cause of the force at the same moment, and an accelerometer in the centre
     of a vehicle that hovered in gusts seemed to be 0.25 to 0.32 m below it. References are the instruments (two-stage least squares: Theil
-    1953); the response to a step of one is a line from knot to knot (`ANSWER_S`), which begins at 0: motors have a lag.
+    1953); the response to a step of one is a line from knot to knot (`RESPONSE_KNOTS_S`), which begins at 0: motors have a lag.
     """
     names = [n for n in TURNED_BY if n in s.u]
     if not names:
         return accelerations
-    means = [_mean(s.u[n], s.t_s - begin, end - begin) for n in names for begin, end in pairwise(ANSWER_S)]
+    means = [_mean(s.u[n], s.t_s - begin, end - begin) for n in names for begin, end in pairwise(RESPONSE_KNOTS_S)]
     asked = np.column_stack([np.ones(s.t_s.size), *means])
     return np.asarray(asked @ np.linalg.lstsq(asked, accelerations, rcond=None)[0])
 
@@ -152,7 +153,7 @@ class TranslationEquations:
 
     def __init__(self, model: Model, flown: Sequence[Segment], outputs: tuple[str, ...]) -> None:
         self.model, self.flown, self.outputs = model, flown, outputs
-        self._instruments = [n for n in (LATENCY, LEVER_ARM) if n in model.terms]
+        self._instruments = [n for n in BEHIND_FILTERS if n in model.terms]
         self.block = model.without_terms(*self._instruments).measured_velocity
         measured = [s.once("measured", partial(_measured, s)) for s in flown]
         swings = any(n != "a_t_m_s2" for n in self.block.free_states)
@@ -175,8 +176,7 @@ class TranslationEquations:
     def params(self) -> tuple[str, ...]:
         """Names of what the equations depend on: those of `block`, and of the instruments where the model has them. With a latency
         increments of velocity are those of the modelled acceleration so much earlier."""
-        own = {LATENCY: (LATENCY,), LEVER_ARM: ARMS}
-        return (*self.block.params, *(p for n in self._instruments for p in own[n]))
+        return (*self.block.params, *(p for n in self._instruments for p in BEHIND_FILTERS[n]))
 
     def evaluated(
         self, values: Sequence[Mapping[str, float]], names: Sequence[str], initial: InitialValues

@@ -53,7 +53,7 @@ ADDED: Mapping[str, Added] = MappingProxyType(
         "thrust_extra_lag": Added({"thrust_extra_tau": 0.035}, ("thrust_extra_tau",), ("throttle",)),
         "thrust_asymmetry": Added({"ln_sigma_ratio": 0.6}, ("ln_sigma_ratio",), ("throttle",), most=2.5),
         "throttle_curve": Added({"curvature": 0.15}, ("curvature",), ("throttle",), most=4.0),
-        "throttle_offset": Added({"T_min": 0.03}, ("T_min",), ("throttle",), most=5.0),
+        "throttle_offset": Added({"T_min": 0.03}, ("T_min",), ("throttle",), most=5.0),  # the catalogue ends at 0.15
         "slung_payload": Added(
             {"payload_ratio": 0.12, "cable_m": 0.8, "swing_damping": 0.05}, ("payload_ratio",), (*_FLAT, "throttle"), most=2.5
         ),
